@@ -87,6 +87,9 @@ impl Choices {
         let because = match voxel {
             Voxel::Auto => format!("a sixteenth of the median spacing of {points}"),
             Voxel::Published => format!("the published rule, over {points}"),
+            Voxel::Edge(asked) if f64::from(edge) > 1.001 * asked => {
+                format!("the least that reaches across {points}; the option's {asked} does not")
+            }
             Voxel::Edge(_) => "the option".to_owned(),
         };
         let mut all = vec![
@@ -153,6 +156,10 @@ mod tests {
         let said = random.explain(Voxel::Published, 0.25);
         assert_eq!(said[0].because, "the published rule, over 5000 random points");
         assert!(said[1].because.contains("memory"));
+        assert_eq!(random.explain(Voxel::Edge(0.1), 0.1)[0].because, "the option");
+        let enlarged = &random.explain(Voxel::Edge(0.1), 0.25)[0];
+        assert_eq!(enlarged.value, "0.25");
+        assert!(enlarged.because.contains("the option's 0.1 does not"), "{}", enlarged.because);
         let json = serde_json::to_value(&random).expect("JSON");
         assert_eq!(serde_json::from_value::<Choices>(json).expect("choices"), random);
     }

@@ -10,7 +10,7 @@ use rand::{Rng, RngExt};
 
 use super::{
     AnchorRows, FirstAnchors, GaussianRows, InitError, MAX_CELL, PassingUnits, Shape, VoxelRule, all_offsets,
-    cell_of, choose_lattice, coarse,
+    cell_of, cell_within, choose_lattice, coarse,
     first_anchors::{SLOT, SlotValues},
     gaussian_rows::{COLOR, LOG_SCALE, OPACITY, QUAT, SH_CONSTANT},
 };
@@ -127,6 +127,7 @@ pub fn anchors_from_gaussians(
     }
     let points: Vec<[f32; 3]> = members.iter().map(|member| member.mean.to_array()).collect();
     let lattice = choose_lattice(&points, rule(&points));
+    members.retain(|member| cell_within(&lattice, member.mean.to_array()).is_some());
     let groups = groups(&lattice, &members, shape.offsets, max_anchors);
     let mut anchors = AnchorRows {
         shape,

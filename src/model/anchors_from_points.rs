@@ -8,7 +8,7 @@ use std::collections::BTreeMap;
 use rand::{Rng, RngExt};
 
 use super::{
-    AnchorRows, FirstAnchors, InitError, PassingUnits, Shape, VoxelRule, cell_of,
+    AnchorRows, FirstAnchors, InitError, PassingUnits, Shape, VoxelRule, cell_within,
     first_anchors::{SLOT, SlotValues},
     initial_rows,
 };
@@ -67,7 +67,8 @@ fn mean_colors(anchors: &AnchorRows, points: &[[f32; 3]], colors: &[[u8; 3]]) ->
     let colors = if colors.windows(2).all(|pair| pair[0] == pair[1]) { &[] } else { colors };
     let mut sums: BTreeMap<[i32; 3], ([f64; 3], f64)> = BTreeMap::new();
     for (point, color) in points.iter().zip(colors) {
-        let (sum, count) = sums.entry(cell_of(&anchors.lattice, *point)).or_default();
+        let Some(cell) = cell_within(&anchors.lattice, *point) else { continue };
+        let (sum, count) = sums.entry(cell).or_default();
         for (sum, value) in sum.iter_mut().zip(color) {
             *sum += f64::from(*value) / 255.0;
         }

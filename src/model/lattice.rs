@@ -79,31 +79,59 @@ fn median_squared_distance(points: &[[f32; 3]]) -> f32 {
     squares.get((squares.len() / 2).saturating_sub(1)).copied().unwrap_or(0.0)
 }
 
-/// The lattice for a set of points. The origin is the middle of their box, so that cells stay small.
+/// Of this many points the outermost one, at either end of an axis, may be left out of a lattice.
+const POINTS_A_STRAY: usize = 200;
+
+/// Least edge of a cell.
+const MIN_EDGE: f32 = f32::MIN_POSITIVE * 1e6;
+
+/// The lattice for a set of points. The origin is the middle of their box, so that cells stay small, and the box may be
+/// [`MAX_CELL`] cells long, since growth may leave it by half of it on each side.
+///
+/// In a larger box the outermost points of each axis, a half per cent at either end, do not count: reconstructions have
+/// some that are far from everything, and those must not coarsen the cells of the others. Only where the rest does not fit
+/// either are the cells larger than by the rule.
 #[must_use]
 pub fn choose_lattice(points: &[[f32; 3]], rule: VoxelRule) -> Lattice {
-    let mut low = [f32::INFINITY; 3];
-    let mut high = [f32::NEG_INFINITY; 3];
-    for point in points {
-        for axis in 0..3 {
-            low[axis] = low[axis].min(point[axis]);
-            high[axis] = high[axis].max(point[axis]);
-        }
+    let voxel = rule.edge(points).max(MIN_EDGE);
+    let fits = |ranges: &[[f32; 2]; 3]| longest(ranges) <= voxel * MAX_CELL as f32;
+    let whole = ranges(points, 0);
+    let ranges = if fits(&whole) { whole } else { ranges(points, points.len() / POINTS_A_STRAY) };
+    Lattice {
+        voxel: voxel.max(longest(&ranges) / MAX_CELL as f32),
+        origin: ranges.map(|[low, high]| 0.5 * low + 0.5 * high),
     }
-    let extent = (0..3).map(|axis| high[axis] - low[axis]).fold(0.0_f32, f32::max);
-    let voxel = rule.edge(points);
-    // Growth may leave the box of the points by half of it on each side and must still fit the coder.
-    let voxel = voxel.max(extent / MAX_CELL as f32).max(f32::MIN_POSITIVE * 1e6);
-    Lattice { voxel, origin: std::array::from_fn(|axis| 0.5 * (low[axis] + high[axis])) }
+}
+
+/// Least and largest coordinate of each axis, but for the `strays` outermost at either end.
+fn ranges(points: &[[f32; 3]], strays: usize) -> [[f32; 2]; 3] {
+    std::array::from_fn(|axis| {
+        let mut along: Vec<f32> = points.iter().map(|point| point[axis]).collect();
+        along.sort_unstable_by(f32::total_cmp);
+        let inner = &along[strays..along.len() - strays];
+        inner.first().zip(inner.last()).map_or([0.0; 2], |(low, high)| [*low, *high])
+    })
+}
+
+fn longest(ranges: &[[f32; 2]; 3]) -> f32 {
+    ranges.iter().map(|[low, high]| high - low).fold(0.0_f32, f32::max)
 }
 
 /// The cell that a world position falls into: rounded half to even, clamped to what the file format codes.
 #[must_use]
 pub fn cell_of(lattice: &Lattice, position: [f32; 3]) -> [i32; 3] {
-    std::array::from_fn(|axis| {
-        let scaled = (position[axis] - lattice.origin[axis]) / lattice.voxel;
-        scaled.round_ties_even().clamp(-MAX_CELL as f32, MAX_CELL as f32) as i32
-    })
+    rounded(lattice, position).map(|cell| cell.clamp(-MAX_CELL as f32, MAX_CELL as f32) as i32)
+}
+
+/// The cell that a world position falls into, if the file format codes it.
+#[must_use]
+pub fn cell_within(lattice: &Lattice, position: [f32; 3]) -> Option<[i32; 3]> {
+    let cell = rounded(lattice, position);
+    cell.iter().all(|cell| cell.abs() <= MAX_CELL as f32).then(|| cell.map(|cell| cell as i32))
+}
+
+fn rounded(lattice: &Lattice, position: [f32; 3]) -> [f32; 3] {
+    std::array::from_fn(|axis| ((position[axis] - lattice.origin[axis]) / lattice.voxel).round_ties_even())
 }
 
 /// The cell of a lattice `factor` times as coarse that a cell belongs to: rounded half to even.
@@ -112,10 +140,10 @@ pub fn coarse(cell: [i32; 3], factor: i32) -> [i32; 3] {
     cell.map(|c| (f64::from(c) / f64::from(factor)).round_ties_even() as i32)
 }
 
-/// The distinct cells of a set of points, ascending (METHOD.md §2.1).
+/// The distinct cells of a set of points, ascending (METHOD.md §2.1), without points that the lattice does not reach.
 #[must_use]
 pub fn voxelise(lattice: &Lattice, points: &[[f32; 3]]) -> Vec<[i32; 3]> {
-    let cells: BTreeSet<[i32; 3]> = points.iter().map(|point| cell_of(lattice, *point)).collect();
+    let cells: BTreeSet<[i32; 3]> = points.iter().filter_map(|point| cell_within(lattice, *point)).collect();
     cells.into_iter().collect()
 }
 
@@ -182,6 +210,32 @@ mod tests {
         points.extend((0..400).map(|i| [i as f32, 0.0, 0.0]));
         let spacing = median_spacing(&points);
         assert!((spacing - 1.4).abs() < 0.2, "{spacing}");
+    }
+
+    #[test]
+    fn stray_points_neither_coarsen_the_cells_nor_become_anchors() {
+        let grid: Vec<[f32; 3]> = (0..1000)
+            .map(|i| [(i % 10) as f32, (i / 10 % 10) as f32, (i / 100) as f32].map(|v| 0.01 * v))
+            .collect();
+        let rule = VoxelRule::OfSpacing(1.0 / 16.0);
+        let alone = choose_lattice(&grid, rule);
+        for stray in [[1e6, 0.0, 0.0], [0.0, -1e9, 1e9], [3e38, -3e38, 0.0]] {
+            let points = [&grid[..], &[stray]].concat();
+            let lattice = choose_lattice(&points, rule);
+            assert!((lattice.voxel / alone.voxel - 1.0).abs() < 0.01, "{} for {stray:?}", lattice.voxel);
+            assert_eq!(voxelise(&lattice, &points).len(), grid.len());
+        }
+        // What is far but within reach stays.
+        let points = [&grid[..], &[[300.0, 0.0, 0.0]]].concat();
+        assert_eq!(voxelise(&choose_lattice(&points, rule), &points).len(), 1001);
+    }
+
+    #[test]
+    fn cells_are_larger_than_asked_for_only_where_most_points_do_not_fit_otherwise() {
+        let line: Vec<[f32; 3]> = (0..1000).map(|i| [i as f32, 0.0, 0.0]).collect();
+        let lattice = choose_lattice(&line, VoxelRule::Fixed(1e-6));
+        assert!((lattice.voxel * MAX_CELL as f32 - 989.0).abs() < 0.1, "{lattice:?}");
+        assert!(voxelise(&lattice, &line).len() > 990);
     }
 
     #[test]

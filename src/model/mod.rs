@@ -19,6 +19,8 @@ pub use anchors_from_points::anchors_from_points;
 pub use first_anchors::{FirstAnchors, PassingUnits};
 pub use gaussian_rows::{GaussianRows, initial_gaussians};
 pub use init::{InitError, all_offsets, initial_rows, random_points};
-pub use lattice::{MAX_CELL, VoxelRule, cell_of, choose_lattice, coarse, median_spacing, voxelise};
+pub use lattice::{
+    MAX_CELL, VoxelRule, cell_of, cell_within, choose_lattice, coarse, median_spacing, voxelise,
+};
 pub use networks::{LayerSpec, NetworkLayout};
 pub use symmetric_eigen::symmetric_eigen;

@@ -19,9 +19,12 @@ use super::{
     prune_invisible::prune_invisible,
 };
 use crate::{
-    domain::{AnchorScene, Camera, NearPlane, PointCloud, Scene, SceneScale},
+    domain::{AnchorScene, Camera, Lattice, NearPlane, PointCloud, Scene, SceneScale},
     gpu::{Buffer, Device, Recorder},
-    model::{AnchorRows, FirstAnchors, NetworkLayout, Shape, anchors_from_points, initial_rows},
+    model::{
+        AnchorRows, FirstAnchors, NetworkLayout, Shape, VoxelRule, anchors_from_points, cell_within,
+        initial_rows,
+    },
     render::{AnchorGradients, DeviceAnchors, GaussianGradients, Gaussians, NeuralGaussians},
 };
 
@@ -70,6 +73,19 @@ struct Parts {
     scene_scale: SceneScale,
 }
 
+/// Warns of points that the lattice leaves out, and of cells larger than by the rule.
+fn warn_of_lattice(lattice: &Lattice, points: &[[f32; 3]], rule: VoxelRule) {
+    let strays = points.iter().filter(|point| cell_within(lattice, **point).is_none()).count();
+    if strays > 0 {
+        tracing::warn!("{strays} of {} points are too far from the others to begin from", points.len());
+    }
+    if let VoxelRule::Fixed(edge) = rule
+        && lattice.voxel > edge
+    {
+        tracing::warn!("cells of {edge} do not reach across the points; they are {} large", lattice.voxel);
+    }
+}
+
 impl AnchorTrainer {
     /// A trainer with anchors at the cloud's points and newly initialised networks; `extent` is the scene's, in world units.
     pub(super) fn new(
@@ -91,6 +107,7 @@ impl AnchorTrainer {
             let anchors = initial_rows(positions, rule, shape, most)?;
             FirstAnchors { anchors, networks: NetworkLayout::new(shape).initial(rng) }
         };
+        warn_of_lattice(&first.anchors.lattice, positions, rule);
         Self::begin(device, schedule, first, extent, scene_scale)
     }
 
