@@ -21,10 +21,14 @@ pub enum InitError {
     NonFinite(usize),
 }
 
-/// `count` points uniform in the box, for sets without a point cloud (METHOD.md §1.1).
+/// `count` points uniform in the box, for sets without a point cloud (METHOD.md §1.1). An axis whose corners are one has one value.
 #[must_use]
 pub fn random_points(rng: &mut impl Rng, count: usize, low: [f32; 3], high: [f32; 3]) -> Vec<[f32; 3]> {
-    (0..count).map(|_| std::array::from_fn(|axis| rng.random_range(low[axis]..high[axis]))).collect()
+    let mut along = |axis: usize| {
+        let (low, high) = (low[axis], high[axis]);
+        if low < high { rng.random_range(low..high) } else { low }
+    };
+    (0..count).map(|_| std::array::from_fn(&mut along)).collect()
 }
 
 /// Anchors from points: voxelised, offsets and features zero, all six log-scalings the logarithm of the distance to
@@ -145,6 +149,8 @@ mod tests {
             let (least, most) = (along().fold(f32::MAX, f32::min), along().fold(f32::MIN, f32::max));
             assert!(least >= low && most < high && most - least > 0.9 * (high - low));
         }
+        let mut rng = rand_pcg::Pcg64::seed_from_u64(1);
+        assert!(random_points(&mut rng, 9, [1e8; 3], [1e8; 3]).iter().all(|point| *point == [1e8; 3]));
     }
 
     #[test]

@@ -22,6 +22,17 @@ pub enum TrainError {
     /// The point cloud cannot initialise a scene.
     #[error("the point cloud: {0}")]
     Points(#[from] InitError),
+    /// The cameras look at a place so far from the origin that single precision cannot tell its points apart.
+    #[error(
+        "the cameras look at a place {distance} units from the origin, and only {side} units across: single precision cannot \
+         tell its points apart; move the scene closer to the origin"
+    )]
+    FarFromOrigin {
+        /// Of the box of first points, in world units.
+        distance: f32,
+        /// Of the box.
+        side: f32,
+    },
     /// Every anchor or Gaussian was pruned: the photographs and poses do not agree on anything.
     #[error("everything was pruned at step {step}; the poses and the photographs do not describe one scene")]
     NothingLeft {

@@ -2,6 +2,7 @@
 
 use glam::{DMat3, DVec3};
 
+use super::{Result, TrainError};
 use crate::domain::{Frame, Layout};
 
 /// Half the side of the box that Blender sets are made in (METHOD.md §1.1).
@@ -25,6 +26,20 @@ pub(super) fn init_bounds(layout: Layout, frames: &[&Frame]) -> ([f32; 3], [f32;
         }
     };
     ((center - half).as_vec3().to_array(), (center + half).as_vec3().to_array())
+}
+
+/// Least number of steps of single precision across the box.
+const LEAST_STEPS: f32 = 4096.0;
+
+/// Refuses a box whose points single precision cannot tell apart, since it is far from the origin.
+pub(super) fn expect_resolved((low, high): ([f32; 3], [f32; 3])) -> Result<()> {
+    let side = (0..3).map(|axis| high[axis] - low[axis]).fold(f32::INFINITY, f32::min);
+    let distance = low.iter().chain(&high).map(|corner| corner.abs()).fold(0.0, f32::max);
+    if side >= LEAST_STEPS * f32::EPSILON * distance {
+        Ok(())
+    } else {
+        Err(TrainError::FarFromOrigin { distance, side })
+    }
 }
 
 /// The point with the least sum of squared distances to the optical axes, or a unit ahead of the first camera if the axes are
@@ -81,6 +96,21 @@ mod tests {
         assert!(middle(corners).distance(target) < 1e-4);
         let side = f64::from(corners.1[0] - corners.0[0]);
         assert!((side - 1.2 * 26.0_f64.sqrt()).abs() < 1e-3, "{side}");
+    }
+
+    #[test]
+    fn a_box_too_far_out_for_single_precision_is_refused() {
+        let at = |distance: f64| {
+            let target = DVec3::new(distance, 0.0, 0.0);
+            let frames = [DVec3::X, DVec3::Y, -DVec3::X].map(|offset| frame(target + offset, target));
+            let frames: Vec<&Frame> = frames.iter().collect();
+            expect_resolved(init_bounds(Layout::Nerfstudio, &frames))
+        };
+        assert!(at(0.0).is_ok() && at(1000.0).is_ok());
+        for distance in [1e5, 1e8, 1e9] {
+            let error = at(distance).expect_err("too far").to_string();
+            assert!(error.contains("closer to the origin"), "{error}");
+        }
     }
 
     #[test]

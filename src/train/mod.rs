@@ -25,6 +25,7 @@ mod narrowing;
 mod plain;
 mod prune_invisible;
 mod rate_control;
+mod scene_extent;
 mod schedule;
 mod sensitivity;
 mod statistics;

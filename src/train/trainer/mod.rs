@@ -16,10 +16,11 @@ use super::{
     batch::{Batch, REPORT_INTERVAL},
     checkpoint::{ModelState, RunIdentity, RunState},
     convergence::{Scores, Watch},
-    init_bounds::init_bounds,
+    init_bounds::{expect_resolved, init_bounds},
     loss::pack,
     model_trainer::{BitrateSample, FinishedModel, ModelTrainer, Step, Views},
     plain::PlainTrainer,
+    scene_extent::scene_extent,
     trained::Trained,
     two_stage::TwoStageTrainer,
     typical_distance::typical_distance,
@@ -132,15 +133,6 @@ impl CheckpointWriter<'_> {
     }
 }
 
-/// The scene's extent: 1.1 times the largest distance of a training camera from the cameras' mean position.
-fn camera_extent(frames: &[&Frame]) -> f32 {
-    let centers: Vec<_> = frames.iter().map(|frame| frame.camera.pose.center()).collect();
-    let mean = centers.iter().sum::<glam::DVec3>() / centers.len().max(1) as f64;
-    let radius = centers.iter().map(|center| center.distance(mean)).fold(0.0, f64::max);
-    // A single camera has no radius: any extent will do.
-    if radius > 0.0 { (1.1 * radius) as f32 } else { 1.0 }
-}
-
 /// Warns if growth is capped by memory.
 fn warn_if_capped(wanted: usize, estimate: &Estimate) {
     if estimate.size < wanted {
@@ -164,16 +156,17 @@ impl ModelFactory<'_> {
     /// The trainer at the start of a run.
     fn create(self, rng: &mut Pcg64) -> Result<Box<dyn ModelTrainer>> {
         let Self { device, dataset, frames, schedule } = self;
+        let extent = scene_extent(dataset, frames);
         let cloud = match &dataset.points {
             Some(cloud) if !cloud.positions.is_empty() => Cow::Borrowed(cloud),
             _ => {
                 let (low, high) = init_bounds(dataset.layout, frames);
+                expect_resolved((low, high))?;
                 let positions = random_points(rng, schedule.random_points, low, high);
                 Cow::Owned(PointCloud { positions, colors: Vec::new() })
             }
         };
         let PointCloud { positions, colors } = cloud.as_ref();
-        let extent = camera_extent(frames);
         Ok(match schedule.model {
             ModelKind::Tcgs | ModelKind::Scaffold => {
                 let typical = typical_distance(frames, positions);
@@ -195,8 +188,8 @@ impl ModelFactory<'_> {
 
     /// The trainer that a checkpoint holds the state of.
     fn resume(self, state: ModelState) -> Result<Box<dyn ModelTrainer>> {
-        let Self { device, frames, schedule, .. } = self;
-        let extent = camera_extent(frames);
+        let Self { device, dataset, frames, schedule } = self;
+        let extent = scene_extent(dataset, frames);
         Ok(match schedule.model {
             ModelKind::Tcgs | ModelKind::Scaffold if schedule.plain_until > 0 => {
                 Box::new(TwoStageTrainer::resume(device, schedule, extent, state)?)
@@ -305,7 +298,7 @@ impl<'a> Run<'a> {
             narrowed_from: None,
             shortened: None,
         };
-        let near = NearPlane::of_extent(camera_extent(&frames)).depth();
+        let near = NearPlane::of_extent(scene_extent(dataset, &frames)).depth();
         let settings = RasterSettings { near, ..RasterSettings::default() };
         let now = Instant::now();
         Ok(Self {
