@@ -1,5 +1,7 @@
 //! The flags that bound memory, the same for every command that trains, and what the machine has where they are absent.
 
+mod control_groups;
+
 use std::{fs, path::Path};
 
 use tcgs::domain::{Bytes, MemoryLimits};
@@ -38,14 +40,11 @@ fn share(available: u64, runs: u16) -> u64 {
     (available / 4 * 3 / u64::from(runs.max(1))).max(1)
 }
 
-/// Bytes of main memory that nobody uses, within what a control group allows this process.
+/// Bytes of main memory that nobody uses, within what control groups allow this process.
 fn available() -> u64 {
-    let read = |path: &str| fs::read_to_string(Path::new(path)).ok();
-    let machine = read("/proc/meminfo").and_then(|text| mem_available(&text));
-    let group = read("/sys/fs/cgroup/memory.max")
-        .zip(read("/sys/fs/cgroup/memory.current"))
-        .and_then(|(most, used)| group_available(&most, &used));
-    machine.into_iter().chain(group).min().unwrap_or(UNKNOWN)
+    let read = |path: &Path| fs::read_to_string(path).ok();
+    let machine = read(Path::new("/proc/meminfo")).and_then(|text| mem_available(&text));
+    machine.into_iter().chain(control_groups::available(&read)).min().unwrap_or(UNKNOWN)
 }
 
 /// The line `MemAvailable:   24078412 kB`.
@@ -53,13 +52,6 @@ fn mem_available(meminfo: &str) -> Option<u64> {
     let line = meminfo.lines().find_map(|line| line.strip_prefix("MemAvailable:"))?;
     let kib: u64 = line.trim().strip_suffix("kB")?.trim().parse().ok()?;
     kib.checked_mul(1024)
-}
-
-/// `None` where the group has no limit, which reads as `max`.
-fn group_available(most: &str, used: &str) -> Option<u64> {
-    let most: u64 = most.trim().parse().ok()?;
-    let used: u64 = used.trim().parse().ok()?;
-    Some(most.saturating_sub(used))
 }
 
 #[cfg(test)]
@@ -74,9 +66,6 @@ mod tests {
         for odd in ["", "MemAvailable:", "MemAvailable: many kB", "MemAvailable: 99999999999999999999 kB"] {
             assert_eq!(mem_available(odd), None, "{odd}");
         }
-        assert_eq!(group_available("max\n", "100\n"), None);
-        assert_eq!(group_available("1000\n", "400\n"), Some(600));
-        assert_eq!(group_available("1000\n", "4000\n"), Some(0));
     }
 
     #[test]
