@@ -72,7 +72,8 @@ pub(super) struct Watch {
     pub(super) aside: Vec<usize>,
     /// Steps in which they are kept aside.
     window: Range<u32>,
-    /// Steps after which the scene is no longer rendered as before, so that later scores do not compare with earlier ones.
+    /// The first steps after which the scene is rendered otherwise than before, so that their scores and later ones do not compare
+    /// with earlier ones.
     disturbances: Vec<u32>,
     /// Steps of the whole schedule.
     steps: u32,
@@ -100,11 +101,11 @@ impl Watch {
     /// of the run is less than [`MIN_GAIN_DB`] above the best before.
     pub(super) fn observe(&self, scores: &mut Scores, step: u32, psnr: f64) {
         scores.all.push((step, psnr.to_bits()));
-        let since = self.disturbances.iter().copied().filter(|at| *at < step).max().unwrap_or(0);
+        let since = self.disturbances.iter().copied().filter(|at| *at <= step).max().unwrap_or(0);
         let comparable: Vec<f64> = scores
             .all
             .iter()
-            .filter(|(step, _)| *step > since)
+            .filter(|(step, _)| *step >= since)
             .map(|(_, bits)| f64::from_bits(*bits))
             .collect();
         let smoothed: Vec<f64> =
@@ -187,9 +188,12 @@ mod tests {
     #[test]
     fn scores_from_before_a_disturbance_do_not_count() {
         let drops = |step: u32| if step <= 300 { 25.0 } else { 20.0 + f64::from(step) / 1000.0 };
-        assert_eq!(converged(&watch(vec![120, 300]), |step| drops(step.max(200))), Some(280));
-        assert_eq!(converged(&watch(vec![60, 120, 180, 240, 300]), drops), None);
+        assert_eq!(converged(&watch(vec![140, 320]), |step| drops(step.max(200))), Some(280));
+        assert_eq!(converged(&watch(vec![80, 140, 200, 260, 320]), drops), None);
         assert!(converged(&watch(Vec::new()), drops).is_some());
+        // The score after the disturbing step is of the disturbed scene.
+        let falls = |step: u32| if step < 200 { 25.0 } else { 20.0 + f64::from(step) / 1000.0 };
+        assert_eq!(converged(&watch(vec![60, 200]), falls), None);
     }
 
     #[test]

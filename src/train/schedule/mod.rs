@@ -348,16 +348,17 @@ impl Schedule {
         1..late.min(masks).min(rounded)
     }
 
-    /// Steps after which the same scene is rendered otherwise: as anchors, with noise, rounded, or with its opacities reset.
+    /// The first steps after which the same scene is rendered otherwise than after the step before: as anchors, with noise, rounded,
+    /// or with its opacities reset. Anchors are made and opacities reset at the end of their step, stages begin with the next.
     #[must_use]
     pub fn disturbances(&self) -> Vec<u32> {
         let disturbs = |step: &u32| match (&self.compression, self.model) {
             _ if *step == self.plain_until => true,
-            (Some(compression), _) => compression.changes_stage_after(*step),
+            (Some(compression), _) => compression.changes_stage_after(*step - 1),
             (None, ModelKind::Gaussians3d) => self.plain.resets(*step),
             (None, _) => false,
         };
-        (1..self.steps).filter(disturbs).collect()
+        (1..=self.steps).filter(disturbs).collect()
     }
 
     /// The size that growth may reach: anchors, or plain Gaussians.
