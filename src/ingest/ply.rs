@@ -1,7 +1,8 @@
 //! Point clouds in PLY files, ASCII and binary of both byte orders.
 //!
 //! Only the `vertex` element is read: x, y, z and, where stated, red, green, blue. Points without colour are mid-grey. The file is
-//! read as a stream, one vertex at a time.
+//! read as a stream, one vertex at a time. Channels of 8 bits are taken as they are; others may run to 1, 255 or 65535, which
+//! the largest of all vertices tells.
 
 use std::io::{self, BufRead};
 
@@ -51,19 +52,20 @@ pub(super) fn points(reader: &mut dyn BufRead, length: u64, cloud: &mut Points) 
     let count = header.vertices as usize;
     cloud.reserve(count)?;
 
+    // Colours of the kept points whose scale is known only at the end.
+    let scalar = colors.map(|[red, ..]| header.properties[red].scalar);
+    let has_scale = scalar.is_some_and(|scalar| !matches!(scalar, Scalar::U8 | Scalar::I8));
+    let mut unscaled: Vec<[f32; 3]> = Vec::new();
     let mut add = |index: usize, row: &[f64]| {
         let position = [x, y, z].map(|column| row[column] as f32);
         if position.iter().any(|value| !value.is_finite()) {
             return Err(refused(format!("vertex {index} is not finite")));
         }
-        let color = colors.map_or([GREY; 3], |columns| {
-            columns.map(|column| {
-                let fraction = matches!(header.properties[column].scalar, Scalar::F32 | Scalar::F64);
-                let value = if fraction { row[column] * 255.0 } else { row[column] };
-                value.round().clamp(0.0, 255.0) as u8
-            })
-        });
-        cloud.push(position, color)
+        let color = colors.map(|columns| columns.map(|column| row[column] as f32));
+        if has_scale && cloud.keeps() {
+            unscaled.extend(color);
+        }
+        cloud.push(position, color.map_or([GREY; 3], |color| color.map(|value| to_8_bits(value, 1.0))))
     };
 
     let mut row = vec![0.0; header.properties.len()];
@@ -92,7 +94,29 @@ pub(super) fn points(reader: &mut dyn BufRead, length: u64, cloud: &mut Points) 
             add(index, &row)?;
         }
     }
+    if let Some(scalar) = scalar.filter(|_| has_scale) {
+        let factor = factor(scalar, unscaled.iter().flatten().copied().fold(0.0, f32::max));
+        cloud.recolor(unscaled.iter().map(|color| color.map(|value| to_8_bits(value, factor))));
+    }
     Ok(())
+}
+
+/// Factor to 0 to 255 of channels of one type, whose largest value is `largest`.
+fn factor(scalar: Scalar, largest: f32) -> f32 {
+    // Channels of spherical harmonics and of high dynamic range are a little above 1.
+    const OVERSHOOT: f32 = 2.0;
+    let fraction = matches!(scalar, Scalar::F32 | Scalar::F64) && largest <= OVERSHOOT;
+    if fraction {
+        255.0
+    } else if largest > 255.0 {
+        1.0 / 257.0
+    } else {
+        1.0
+    }
+}
+
+fn to_8_bits(value: f32, factor: f32) -> u8 {
+    (value * factor).round().clamp(0.0, 255.0) as u8
 }
 
 /// Reads what stands between the next white space, and says whether there was anything. Of a longer token than any number the
@@ -192,6 +216,22 @@ mod tests {
         let fractions = PLAIN.replace("uchar", "float");
         let cloud = points(&file("ascii", &fractions, b"0 0 0 1 0.5 0\n0 0 0 2 -1 0\n")).expect("points");
         assert_eq!(cloud.colors, [[255, 128, 0], [255, 0, 0]]);
+    }
+
+    #[test]
+    fn channels_that_run_to_255_or_65535_are_told_from_fractions() {
+        let colors = |scalar: &str, data: &[u8]| {
+            points(&file("ascii", &PLAIN.replace("uchar", scalar), data)).expect("points").colors
+        };
+        let large = b"0 0 0 32768 65535 257\n0 0 0 0 1000 128\n";
+        for scalar in ["ushort", "uint", "float", "double"] {
+            assert_eq!(colors(scalar, large), [[128, 255, 1], [0, 4, 0]], "{scalar}");
+            assert_eq!(
+                colors(scalar, b"0 0 0 255 7 3\n0 0 0 0 1 128\n"),
+                [[255, 7, 3], [0, 1, 128]],
+                "{scalar}"
+            );
+        }
     }
 
     #[test]

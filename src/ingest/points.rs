@@ -47,6 +47,21 @@ impl Points {
         Ok(())
     }
 
+    /// Whether they are kept.
+    pub(super) fn keeps(&self) -> bool {
+        self.cloud.is_some()
+    }
+
+    /// Gives the last points these colours, in order.
+    pub(super) fn recolor(&mut self, colors: impl ExactSizeIterator<Item = [u8; 3]>) {
+        if let Some(cloud) = &mut self.cloud {
+            let first = cloud.colors.len().saturating_sub(colors.len());
+            for (to, color) in cloud.colors[first..].iter_mut().zip(colors) {
+                *to = color;
+            }
+        }
+    }
+
     /// How many there are.
     pub(super) fn count(&self) -> usize {
         self.count
