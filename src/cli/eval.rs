@@ -1,10 +1,12 @@
 //! `tcgs eval`: what a file is worth on the views that its training never saw.
 
-use std::{path::PathBuf, time::Instant};
+use std::{collections::HashSet, path::PathBuf, time::Instant};
 
 use serde::Serialize;
 use tcgs::{
-    domain::{Background, ByteCounts, Conventions, Digest, Image, Scores, ViewScore},
+    domain::{
+        Background, ByteCounts, Conventions, Digest, Image, Scores, ViewScore, dataset::without_extension,
+    },
     eval::Lpips,
 };
 
@@ -82,13 +84,10 @@ pub(crate) fn run(args: &Args) -> Result<Report, CliError> {
     let (anchors, gaussians) = (decoded.scene.anchors(), decoded.scene.gaussians());
     let (background, decode_sha256) = (decoded.background, decoded.decode_sha256);
     let renderer = wiring::Renderer::open(decoded, &args.adapter.adapter)?;
+    let mut names = FileNames::default();
     let mut save = |name: &str, render: &Image, photograph: &Image| match &args.save {
         None => Ok(()),
-        Some(folder) => {
-            let name = name.replace(['/', '\\'], "_");
-            let stem = name.rsplit_once('.').map_or(name.as_str(), |(stem, _)| stem);
-            picture::write(&folder.join(format!("{stem}.png")), &side_by_side(photograph, render))
-        }
+        Some(folder) => picture::write(&folder.join(names.of(name)), &side_by_side(photograph, render)),
     };
     let (test, render_seconds) = wiring::score(&renderer, &dataset, background, lpips.as_ref(), &mut save)?;
 
@@ -109,6 +108,20 @@ pub(crate) fn run(args: &Args) -> Result<Report, CliError> {
         text.push_str(&table(&metrics.test.per_view));
     }
     Ok(Report::new(text, &metrics))
+}
+
+/// Names of pictures, each once.
+#[derive(Debug, Default)]
+struct FileNames(HashSet<String>);
+
+impl FileNames {
+    /// The file of a view: its name without folders and the extension of the photograph, and a number where that is taken.
+    fn of(&mut self, view: &str) -> String {
+        let stem = without_extension(view).replace(['/', '\\'], "_");
+        let numbered = (2_usize..).map(|number| format!("{stem}-{number}.png"));
+        let mut names = std::iter::once(format!("{stem}.png")).chain(numbered);
+        names.find(|name| self.0.insert(name.clone())).unwrap_or(stem)
+    }
 }
 
 fn timed<T, E>(work: impl FnOnce() -> Result<T, E>) -> Result<(T, f64), E> {
@@ -171,6 +184,15 @@ fn side_by_side(left: &Image, right: &Image) -> Image {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn every_view_has_a_picture_of_its_own() {
+        let mut names = FileNames::default();
+        let views = ["images/a.png", "images_a.jpg", "clip.0001", "clip.0002", "images\\a"];
+        let files = views.map(|view| names.of(view));
+        let expected = ["images_a.png", "images_a-2.png", "clip.0001.png", "clip.0002.png", "images_a-3.png"];
+        assert_eq!(files, expected);
+    }
 
     #[test]
     fn every_view_has_its_line() {

@@ -10,6 +10,9 @@ use super::{Camera, Digest, Photograph, choice::named_choice};
 /// Every eighth image by name is held out if the layout has no test split (METHOD.md §1.1).
 pub const HOLD_OUT_EVERY: usize = 8;
 
+/// Extensions of the image formats that are read, lower case.
+pub const IMAGE_EXTENSIONS: [&str; 4] = ["png", "jpg", "jpeg", "webp"];
+
 named_choice! {
     /// How the files of a dataset are laid out.
     pub enum Layout {
@@ -109,7 +112,7 @@ impl Dataset {
         self.frames.iter().map(|frame| frame.image.bytes_in_memory()).sum()
     }
 
-    /// The frame called `name`: by exact name, else by name without extension, else by unique file stem.
+    /// The frame called `name`, as [`find_name`] finds it.
     #[must_use]
     pub fn find_frame(&self, name: &str) -> Option<&Frame> {
         let names: Vec<&str> = self.frames.iter().map(|frame| frame.name.as_str()).collect();
@@ -117,28 +120,36 @@ impl Dataset {
     }
 }
 
-/// The index of `wanted` in `names`: by exact name, else by name without extension, else by unique file stem.
+/// The index of `wanted` in `names`: by exact name, else by name without extension, else by file stem. What more than one name
+/// answers to names nothing.
 #[must_use]
 pub fn find_name(names: &[&str], wanted: &str) -> Option<usize> {
     let wanted = wanted.trim_start_matches("./");
-    if let Some(exact) = names.iter().position(|name| *name == wanted) {
-        return Some(exact);
-    }
+    let only = |matches: &dyn Fn(&str) -> bool| {
+        let mut found = names.iter().enumerate().filter(|(_, name)| matches(name));
+        match (found.next(), found.next()) {
+            (Some((index, _)), None) => Some(index),
+            _ => None,
+        }
+    };
     let bare = without_extension(wanted);
-    if let Some(same) = names.iter().position(|name| without_extension(name) == bare) {
-        return Some(same);
-    }
-    let mut by_stem = names.iter().enumerate().filter(|(_, name)| stem(name) == bare);
-    match (by_stem.next(), by_stem.next()) {
-        (Some((index, _)), None) => Some(index),
-        _ => None,
-    }
+    let exact = names.iter().position(|name| *name == wanted);
+    exact
+        .or_else(|| only(&|name| without_extension(name) == bare))
+        .or_else(|| only(&|name| stem(name) == bare))
 }
 
-fn without_extension(name: &str) -> &str {
-    let file_start = name.rfind('/').map_or(0, |slash| slash + 1);
-    match name[file_start..].rfind('.') {
-        Some(dot) if dot > 0 => &name[..file_start + dot],
+/// A name without the extension of an image file; what follows another dot belongs to the name.
+#[must_use]
+pub fn without_extension(name: &str) -> &str {
+    match name.rsplit_once('.') {
+        Some((bare, extension))
+            if !bare.is_empty()
+                && !bare.ends_with('/')
+                && IMAGE_EXTENSIONS.iter().any(|known| extension.eq_ignore_ascii_case(known)) =>
+        {
+            bare
+        }
         _ => name,
     }
 }
@@ -161,5 +172,12 @@ mod tests {
         assert_eq!(find_name(&names, "0001"), Some(2));
         assert_eq!(find_name(&names, "r_0"), None, "an ambiguous stem names nothing");
         assert_eq!(find_name(&names, "r_9"), None);
+        let numbered = ["clip.0001", "clip.0002", "a.png", "a.jpg", "b/v1.5.JPG"];
+        assert_eq!(find_name(&numbered, "clip.0002.png"), Some(1));
+        assert_eq!(find_name(&numbered, "a.jpg"), Some(3));
+        assert_eq!(find_name(&numbered, "v1.5"), Some(4));
+        for ambiguous_or_absent in ["clip.9999", "clip", "a", "a.webp", "v1"] {
+            assert_eq!(find_name(&numbered, ambiguous_or_absent), None, "{ambiguous_or_absent}");
+        }
     }
 }

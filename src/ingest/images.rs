@@ -12,7 +12,7 @@ use super::{
     limits::Limits,
     tree::Tree,
 };
-use crate::domain::{Image, camera::MAX_IMAGE_SIDE};
+use crate::domain::{Image, camera::MAX_IMAGE_SIDE, dataset::IMAGE_EXTENSIONS};
 
 /// How much of a file is tried first for its header; a photograph's preview and profiles rarely need more.
 const FIRST_BYTES: u64 = 64 << 10;
@@ -20,16 +20,13 @@ const FIRST_BYTES: u64 = 64 << 10;
 /// Bytes that a decoder may allocate besides pixels, for colour profiles and the like.
 const DECODER_BYTES: u64 = 4 << 20;
 
-/// Extensions of the formats that are read, lower case.
-pub(super) const EXTENSIONS: [&str; 4] = ["png", "jpg", "jpeg", "webp"];
-
 /// Bytes a pixel of the widest pixel format that is decoded (16-bit RGBA).
 const MAX_PIXEL_BYTES: u64 = 8;
 
 /// Whether a name has the extension of an image.
 pub(super) fn is_image_name(name: &str) -> bool {
     name.rsplit_once('.')
-        .is_some_and(|(_, extension)| EXTENSIONS.iter().any(|e| extension.eq_ignore_ascii_case(e)))
+        .is_some_and(|(_, extension)| IMAGE_EXTENSIONS.iter().any(|e| extension.eq_ignore_ascii_case(e)))
 }
 
 /// Size and transparency from the header of a stored image.

@@ -4,14 +4,17 @@ use std::collections::BTreeSet;
 
 use super::{
     error::{IngestError, IngestErrorKind, Result},
-    images::{EXTENSIONS, is_image_name},
+    images::is_image_name,
     lens::Lens,
     limits::Limits,
     names::safe_name,
     points::Points,
     tree::Tree,
 };
-use crate::domain::{Layout, Pose, Split, dataset::HOLD_OUT_EVERY};
+use crate::domain::{
+    Layout, Pose, Split,
+    dataset::{HOLD_OUT_EVERY, IMAGE_EXTENSIONS},
+};
 
 /// How many missing images a message names.
 const MAX_MISSING_SHOWN: usize = 5;
@@ -190,7 +193,7 @@ impl<'a> ImageFiles<'a> {
         if let Some(link) = self.tree.special_on_path(&exact) {
             return Err(link);
         }
-        let with_extensions = EXTENSIONS.iter().flat_map(|extension| {
+        let with_extensions = IMAGE_EXTENSIONS.iter().flat_map(|extension| {
             [format!("{exact}.{extension}"), format!("{exact}.{}", extension.to_uppercase())]
         });
         let found = std::iter::once(exact.clone()).chain(with_extensions).find(|file| self.tree.has(file));
