@@ -36,6 +36,21 @@ pub(super) fn run_curve(
         .enumerate()
         .map(|(number, branch)| branches::load(&branches::folder(source?, number), digest, branch))
         .collect();
+    let keep = |number: usize, finished: &FinishedBranch| {
+        if let Some(root) = &checkpoints.keep {
+            let folder = branches::folder(root, number);
+            match branches::keep(&folder, digest, &wanted[number], finished) {
+                Ok(()) => CheckpointFolder::clear(&folder),
+                // Only an interruption would need it.
+                Err(error) => tracing::warn!("branch {number} is not kept: {error}"),
+            }
+        }
+    };
+    if checkpoints.keep.as_ref() != source {
+        for (number, finished) in done.iter().enumerate() {
+            finished.iter().for_each(|finished| keep(number, finished));
+        }
+    }
     if done.iter().any(Option::is_none) {
         let mut report_trunk = |progress: &Progress| report(Phase::Train, &whole.at(None, progress));
         let trunk = with_checkpoints(inputs, checkpoints, None, &mut |checkpoints| {
@@ -57,13 +72,7 @@ pub(super) fn run_curve(
             let TrainedFile { file, metrics, .. } =
                 train_file(inputs, branch, &own, Some(fork), &mut report_branch)?;
             let finished = FinishedBranch { file, metrics };
-            if let Some(folder) = &own.keep {
-                match branches::keep(folder, digest, branch, &finished) {
-                    Ok(()) => CheckpointFolder::clear(folder),
-                    // Only an interruption would need it.
-                    Err(error) => tracing::warn!("branch {number} is not kept: {error}"),
-                }
-            }
+            keep(number, &finished);
             done[number] = Some(finished);
         }
     }

@@ -24,6 +24,11 @@ pub trait CheckpointSink {
     /// Whether to save the state after `step`. The answer does not affect the run.
     fn wants(&mut self, step: u32) -> bool;
 
+    /// Whether there is a checkpoint where it saves them. One that a run resumes from may be elsewhere.
+    fn has_one(&self) -> bool {
+        true
+    }
+
     /// Saves a checkpoint.
     ///
     /// # Errors
@@ -85,6 +90,10 @@ impl CheckpointSink for CheckpointFolder {
     fn wants(&mut self, _step: u32) -> bool {
         // A clock that was set back must not delay the next one for hours.
         self.clock.now().duration_since(self.saved_at).abs() >= self.every
+    }
+
+    fn has_one(&self) -> bool {
+        self.path.join(FILE).exists()
     }
 
     fn save(&mut self, checkpoint: &Checkpoint) -> Result<(), CheckpointError> {

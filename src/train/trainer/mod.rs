@@ -122,6 +122,14 @@ impl CheckpointWriter<'_> {
         Progress { checkpoint_step: u64::from(self.saved_step), ..progress }
     }
 
+    /// Saves the state of a run that was resumed from elsewhere, so that the next interruption finds it.
+    fn keep_first(&mut self, run: &Run<'_>) {
+        if self.sink.as_ref().is_some_and(|sink| !sink.has_one()) {
+            self.saved_step = 0;
+            self.save(run);
+        }
+    }
+
     /// Saves the run's state. A failure is only logged: the run can continue without a checkpoint.
     fn save(&mut self, run: &Run<'_>) {
         let step = run.state.step;
@@ -343,6 +351,7 @@ impl<'a> Run<'a> {
     ) -> Result<()> {
         let mut writer = CheckpointWriter { sink, saved_step: self.state.step };
         if self.state.step > 0 {
+            writer.keep_first(self);
             report(&writer.with_checkpoint_step(self.progress(None)?));
         }
         while self.state.step < self.last(goal) {

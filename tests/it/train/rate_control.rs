@@ -223,6 +223,41 @@ fn a_curve_that_was_interrupted_goes_on_where_it_was() {
 }
 
 #[test]
+fn a_curve_that_goes_on_in_another_folder_needs_the_first_no_longer() {
+    let options = curve(&WEIGHTS[..2]);
+    let whole = files(&run(&options).expect("files"));
+    let fork = u64::from(Schedule::new(&options).fork_step());
+    let folders = tempfile::tempdir().expect("a folder");
+    let [first, second] = ["first", "second"].map(|name| folders.path().join(name));
+    let stop = |checkpoints: Checkpoints, at: u64| {
+        let cancel = CancelFlag::default();
+        let mut report = |phase: Phase, progress: &Progress| {
+            if phase == Phase::Train && progress.step >= at {
+                cancel.cancel();
+            }
+        };
+        let stopped = run_with(&options, &checkpoints, &mut report, &cancel);
+        assert!(matches!(stopped, Err(JobError::Cancelled)), "{stopped:?}");
+    };
+    let in_the_second_branch = fork + 2 * (u64::from(STEPS) - fork) - 20;
+    stop(Checkpoints { keep: Some(first.clone()), resume: Resume::Fresh }, in_the_second_branch);
+    // Stopped again before a step.
+    stop(Checkpoints { keep: Some(second.clone()), resume: Resume::From(first.clone()) }, 0);
+    fs::remove_dir_all(&first).expect("removed");
+    let mut steps = Vec::new();
+    let mut report = |phase: Phase, progress: &Progress| {
+        if phase == Phase::Train && progress.step > 0 {
+            steps.push(progress.step);
+        }
+    };
+    let checkpoints = Checkpoints { keep: Some(second.clone()), resume: Resume::From(second) };
+    let output = run_with(&options, &checkpoints, &mut report, &CancelFlag::default()).expect("files");
+    assert!(files(&output) == whole);
+    let again = steps.iter().any(|step| (fork + 1..in_the_second_branch).contains(step));
+    assert!(!again, "the first branch is not made again: {steps:?}");
+}
+
+#[test]
 fn the_program_says_how_small_a_file_can_be_and_names_the_files_of_a_curve() {
     let out = tempfile::tempdir().expect("a folder");
     let (set, file) = (DATASET.path().join("set"), out.path().join("out.tcgs"));
