@@ -182,6 +182,11 @@ pub struct TrainOptions {
     pub rd_curve: Vec<f64>,
 }
 
+/// Whether a number stays positive and normal in single precision.
+fn is_positive(value: f64) -> bool {
+    value.is_finite() && value > 0.0 && (value as f32).is_normal()
+}
+
 #[expect(clippy::trivially_copy_pass_by_ref, reason = "serde passes a reference")]
 fn is_full(until: &Until) -> bool {
     *until == Until::Full
@@ -232,12 +237,7 @@ impl TrainOptions {
                 format!("{iterations} is outside 1..={MAX_ITERATIONS}"),
             ));
         }
-        let is_positive = |value: f64| value.is_finite() && value > 0.0 && (value as f32).is_normal();
-        if let Voxel::Edge(edge) = self.voxel
-            && !is_positive(edge)
-        {
-            return Err(OptionError::new("voxel", format!("{edge} is not a positive length")));
-        }
+        self.check_voxel()?;
         if let Some(lambda) = self.lambda {
             if !is_positive(lambda) {
                 return Err(OptionError::new("lambda", format!("{lambda} is not a positive weight")));
@@ -247,10 +247,33 @@ impl TrainOptions {
                 return Err(OptionError::new("lambda", fault));
             }
         }
+        self.check_without()?;
         self.check_with()?;
         self.check_max_bytes()?;
         self.check_rd_curve()?;
         Ok(self)
+    }
+
+    fn check_voxel(&self) -> Result<(), OptionError> {
+        let fault = |text: String| Err(OptionError::new("voxel", text));
+        match self.voxel {
+            Voxel::Edge(edge) if !is_positive(edge) => fault(format!("{edge} is not a positive length")),
+            Voxel::Edge(_) | Voxel::Published if self.model == ModelKind::Gaussians3d => {
+                fault(format!("the model {} has no lattice", self.model))
+            }
+            _ => Ok(()),
+        }
+    }
+
+    fn check_without(&self) -> Result<(), OptionError> {
+        // Planes that are not compressed are true of every model.
+        match self.without.iter().find(|part| **part != Component::PlaneCompression) {
+            Some(part) if self.model != ModelKind::Tcgs => Err(OptionError::new(
+                "without",
+                format!("the model {} has no {part} to leave out", self.model),
+            )),
+            _ => Ok(()),
+        }
     }
 
     fn check_with(&self) -> Result<(), OptionError> {
@@ -303,7 +326,7 @@ impl TrainOptions {
             return fault(format!("{} points are more than {MAX_CURVE_POINTS}", curve.len()));
         }
         for (index, lambda) in curve.iter().enumerate() {
-            if !(lambda.is_finite() && *lambda > 0.0) {
+            if !is_positive(*lambda) {
                 return fault(format!("{lambda} is not a positive weight"));
             }
             if curve[..index].contains(lambda) {
@@ -677,6 +700,30 @@ mod tests {
     }
 
     #[test]
+    fn options_that_a_model_has_no_use_for_are_refused() {
+        let set = |pairs: &[(&str, &str)]| {
+            let mut options = TrainOptions::default();
+            pairs.iter().for_each(|(name, value)| set_option(&mut options, name, value).expect("parses"));
+            options.validated()
+        };
+        for (pairs, option) in [
+            ([("model", "3dgs"), ("voxel", "0.1")], "voxel"),
+            ([("model", "3dgs"), ("voxel", "published")], "voxel"),
+            ([("model", "3dgs"), ("without", "masks")], "without"),
+            ([("model", "scaffold"), ("without", "knn")], "without"),
+        ] {
+            assert_eq!(set(&pairs).expect_err("of no use").option, option, "{pairs:?}");
+        }
+        for pairs in [
+            [("model", "scaffold"), ("voxel", "0.1")],
+            [("model", "3dgs"), ("voxel", "auto")],
+            [("model", "3dgs"), ("plane_compression", "off")],
+        ] {
+            assert!(set(&pairs).is_ok(), "{pairs:?}");
+        }
+    }
+
+    #[test]
     fn a_run_may_end_once_it_has_converged_and_says_so_only_then() {
         let mut options = TrainOptions::default();
         let usual = serde_json::to_value(&options).expect("JSON");
@@ -786,8 +833,19 @@ mod tests {
         assert_eq!(TrainOptions::default().branches(), [TrainOptions::default()]);
         let nine: Vec<String> = (1..=9).map(|weight| weight.to_string()).collect();
         assert!(curve(&nine[..8].join(",")).is_ok());
-        for wrong in ["", "0.001,", "[0.001", "0", "-1", "nan", "inf", "0.001,1e-3", "many", &nine.join(",")]
-        {
+        for wrong in [
+            "",
+            "0.001,",
+            "[0.001",
+            "0",
+            "-1",
+            "nan",
+            "inf",
+            "1e-3,1e39",
+            "0.001,1e-3",
+            "many",
+            &nine.join(","),
+        ] {
             assert_eq!(curve(wrong).expect_err(wrong).option, "rd_curve", "{wrong}");
         }
         let rd_curve = vec![0.001];
