@@ -306,7 +306,6 @@ fn faults_of_colmap_tables_are_refused_by_file_and_cause() {
         "the file is missing",
     );
     assert_refused(&colmap().with("sparse/0/images.txt", "# none\n"), "sparse/0/images.txt", "no images");
-    assert_refused(&colmap().with("sparse/0/points3D.txt", ""), "sparse/0/points3D.txt", "no points");
     assert_refused(&colmap().with("sparse/0/images.txt", [0xff]), "sparse/0/images.txt", "not UTF-8");
 }
 
@@ -328,6 +327,14 @@ fn images_that_do_not_fit_their_camera_are_refused() {
         "not a readable PNG, JPEG or WebP",
     );
     assert_refused(&colmap().with("images/4.png", ""), "images/4.png", "not a readable");
+}
+
+#[test]
+fn a_model_of_known_cameras_without_points_starts_from_random_ones() {
+    let set = colmap().with("sparse/0/points3D.txt", "# none\n").directory();
+    let dataset = load(&set.path).expect("a dataset");
+    assert!(dataset.points.is_none());
+    assert_eq!(dataset.notes, ["sparse/0/points3D.txt has no points: training starts from random ones"]);
 }
 
 #[test]

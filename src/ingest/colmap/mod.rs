@@ -111,12 +111,12 @@ pub(super) fn plan(tree: &Tree, model: Model) -> Result<Plan, IngestError> {
     if model.folder == FOLDERS[0] && tree.names().any(|name| name.starts_with("sparse/1/")) {
         plan.notes.push("there is more than one model under sparse/: sparse/0 is used".to_owned());
     }
-    let plan = plan.ordered(&images_file)?;
     if points.count() == 0 {
-        let message = "the model has no points; training starts from them".to_owned();
-        return Err(IngestErrorKind::Record { place: "points".to_owned(), message }.at(points_file));
+        plan.notes.push(format!("{points_file} has no points: training starts from random ones"));
+    } else {
+        plan.points = Some(points);
     }
-    Ok(Plan { points: Some(points), ..plan })
+    plan.ordered(&images_file)
 }
 
 fn parse<T>(
