@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use tcgs::domain::{Camera, Problem, ProblemType};
+use tcgs::domain::{Camera, Problem, ProblemType, dataset::find_name};
 
 use super::{CliError, pose, wiring};
 
@@ -31,13 +31,14 @@ impl CameraFlags {
         match (&self.pose, &self.dataset, &self.frame) {
             (Some(pose), None, None) => pose::camera(pose),
             (None, Some(dataset), Some(name)) => {
-                let dataset = wiring::load_dataset(dataset)?;
-                let frame = dataset.find_frame(name).ok_or_else(|| {
-                    let first = dataset.frames.first().map_or("", |frame| frame.name.as_str());
+                let cameras = wiring::cameras(dataset)?;
+                let names: Vec<&str> = cameras.iter().map(|camera| camera.name.as_str()).collect();
+                let index = find_name(&names, name).ok_or_else(|| {
+                    let first = names.first().unwrap_or(&"");
                     let detail = format!("the dataset has no frame '{name}'; its first is '{first}'");
                     Problem::new(ProblemType::UnknownFrame, detail)
                 })?;
-                Ok(frame.camera)
+                Ok(cameras[index].camera)
             }
             _ => Err(CliError::Usage("give --pose, or --dataset and --frame".to_owned())),
         }

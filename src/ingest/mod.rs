@@ -64,7 +64,7 @@ use self::{
     survey::{Survey, SurveyedFrame, survey},
     tree::{Purpose, Tree},
 };
-use crate::domain::{Bytes, Dataset, DatasetSummary, Frame, Photograph, Problem, Split};
+use crate::domain::{Bytes, Dataset, DatasetSummary, Frame, NamedCamera, Photograph, Problem, Split};
 
 /// Reads a dataset from a directory or a zip file, whichever `path` is.
 ///
@@ -104,6 +104,17 @@ pub fn load_cancellable(
 /// As [`load`].
 pub fn check(path: &Path) -> Result<DatasetSummary, Problem> {
     Ok(check_within(path, &Limits::default())?)
+}
+
+/// The cameras of a dataset's frames, in the order of [`Dataset::frames`], checked as [`check`] does.
+///
+/// # Errors
+/// As [`load`].
+pub fn cameras(path: &Path) -> Result<Vec<NamedCamera>, Problem> {
+    let views = survey_by(Deadline::NONE, path, &Limits::default())?.views.into_iter();
+    let camera =
+        |SurveyedFrame { frame, camera, .. }| NamedCamera { name: frame.name, split: frame.split, camera };
+    Ok(views.map(camera).collect())
 }
 
 /// As [`load_cancellable`], within other limits.
@@ -211,10 +222,14 @@ pub fn check_within(path: &Path, limits: &Limits) -> Result<DatasetSummary, Inge
     check_by(Deadline::NONE, path, limits)
 }
 
-fn check_by(deadline: Deadline, path: &Path, limits: &Limits) -> Result<DatasetSummary, IngestError> {
+fn survey_by(deadline: Deadline, path: &Path, limits: &Limits) -> Result<Survey, IngestError> {
     let tree = Tree::open(Purpose::Check(deadline), path, limits)?;
     let faults = tree.disk_faults();
-    let (_, survey) = survey(tree, limits, &|| true).map_err(|error| faults.or(error))?;
+    Ok(survey(tree, limits, &|| true).map_err(|error| faults.or(error))?.1)
+}
+
+fn check_by(deadline: Deadline, path: &Path, limits: &Limits) -> Result<DatasetSummary, IngestError> {
+    let survey = survey_by(deadline, path, limits)?;
     let count = |split| survey.views.iter().filter(|view| view.frame.split == split).count();
     let pixels = survey.views.iter().map(|view| {
         let k = view.camera.intrinsics;

@@ -34,6 +34,17 @@ fn names(dataset: &Dataset, split: Split) -> Vec<&str> {
 }
 
 #[test]
+fn cameras_are_those_of_the_frames() {
+    for set in [blender(), colmap()] {
+        let set = set.directory();
+        let dataset = load(&set.path).expect("a dataset");
+        let frames = dataset.frames.iter().map(|frame| (&frame.name, frame.split, &frame.camera));
+        let cameras = super::cameras(&set.path).expect("cameras");
+        assert!(cameras.iter().map(|camera| (&camera.name, camera.split, &camera.camera)).eq(frames));
+    }
+}
+
+#[test]
 fn a_blender_set_keeps_its_splits_names_alpha_and_field_of_view() {
     let dataset = load(&blender().directory().path).expect("a dataset");
     assert_eq!(dataset.layout, Layout::Blender);
@@ -310,6 +321,14 @@ fn faults_of_colmap_tables_are_refused_by_file_and_cause() {
 }
 
 #[test]
+fn a_model_of_known_cameras_without_points_starts_from_random_ones() {
+    let set = colmap().with("sparse/0/points3D.txt", "# none\n").directory();
+    let dataset = load(&set.path).expect("a dataset");
+    assert!(dataset.points.is_none());
+    assert_eq!(dataset.notes, ["sparse/0/points3D.txt has no points: training starts from random ones"]);
+}
+
+#[test]
 fn images_that_do_not_fit_their_camera_are_refused() {
     for (size, words) in [
         ((9, 6), "the image has 9x6 pixels and its camera 8x6"),
@@ -327,14 +346,6 @@ fn images_that_do_not_fit_their_camera_are_refused() {
         "not a readable PNG, JPEG or WebP",
     );
     assert_refused(&colmap().with("images/4.png", ""), "images/4.png", "not a readable");
-}
-
-#[test]
-fn a_model_of_known_cameras_without_points_starts_from_random_ones() {
-    let set = colmap().with("sparse/0/points3D.txt", "# none\n").directory();
-    let dataset = load(&set.path).expect("a dataset");
-    assert!(dataset.points.is_none());
-    assert_eq!(dataset.notes, ["sparse/0/points3D.txt has no points: training starts from random ones"]);
 }
 
 #[test]
