@@ -52,6 +52,7 @@ pub mod progress;
 pub mod random_source;
 pub mod scene_scale;
 pub mod series;
+pub mod spread;
 pub mod view;
 #[cfg(feature = "service")]
 pub mod viewer_token;

@@ -6,7 +6,7 @@ use jiff::SignedDuration;
 
 use super::error::JobError;
 use crate::{
-    domain::{CancelFlag, Dataset, Frame, MemoryBudget, Split},
+    domain::{CancelFlag, Dataset, Frame, MemoryBudget, Split, spread::spread},
     eval::Lpips,
     gpu::Device,
 };
@@ -44,8 +44,7 @@ impl<'a> RunInputs<'a> {
     /// At most `max` of the training views, evenly spread.
     pub(super) fn train_views(&self, max: usize) -> Vec<&'a Frame> {
         let frames: Vec<&Frame> = self.dataset.split(Split::Train).collect();
-        let count = frames.len().min(max);
-        (0..count).map(|index| frames[index * frames.len() / count]).collect()
+        spread(&frames, max).copied().collect()
     }
 
     /// Fails once the job is cancelled.

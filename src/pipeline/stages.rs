@@ -16,7 +16,7 @@ use crate::{
     codec::{DecodeLimits, StoredSteps, stored_steps},
     domain::{
         AnchorScene, Background, CodingStages, Frame, RenderingError, Scene, SceneFormat,
-        anchors::SCALINGS_PER_ANCHOR,
+        anchors::SCALINGS_PER_ANCHOR, spread::spread,
     },
     eval::{ColorError, mean_scores, measure_views, reference_view},
     render::{SceneRenderer, twin::Cutoffs},
@@ -34,7 +34,8 @@ pub(super) fn coding_stages(
     written: &Written,
     heartbeat: &mut dyn FnMut(),
 ) -> Result<Option<CodingStages>, JobError> {
-    let frames = spread(&inputs.test_views(), STAGE_VIEWS);
+    let test_views = inputs.test_views();
+    let frames: Vec<&Frame> = spread(&test_views, STAGE_VIEWS).copied().collect();
     let (Scene::Anchors(decoded), Scene::Anchors(scene)) = (&written.file.scene, &trained.scene) else {
         return Ok(None);
     };
@@ -104,7 +105,8 @@ pub(super) fn rendering_error(
     heartbeat: &mut dyn FnMut(),
 ) -> Result<Option<RenderingError>, JobError> {
     let Some(ReferenceViews { views, max_side }) = inputs.reference else { return Ok(None) };
-    let frames = spread(&inputs.test_views(), views);
+    let test_views = inputs.test_views();
+    let frames: Vec<&Frame> = spread(&test_views, views).copied().collect();
     let Some(first) = frames.first() else { return Ok(None) };
     let mut renderer = SceneRenderer::of_scene(&inputs.device, scene, background)?;
     let (mut squares, mut max, mut cutoff_squares) = (0.0, 0.0_f64, 0.0);
@@ -134,10 +136,4 @@ pub(super) fn rendering_error(
         max,
         cutoff_rmse: (cutoff_squares / count).sqrt(),
     }))
-}
-
-/// At most `max` of the frames, evenly spread.
-fn spread<'a>(frames: &[&'a Frame], max: usize) -> Vec<&'a Frame> {
-    let count = frames.len().min(max);
-    (0..count).map(|index| frames[index * frames.len() / count]).collect()
 }

@@ -6,7 +6,7 @@ use serde::Serialize;
 use tcgs::{
     domain::{
         Background, Camera, ExportFidelity, GaussianScene, Image, Problem, ProblemType, Scene, SceneFormat,
-        harmonics,
+        harmonics, spread::spread,
     },
     eval::{mean_scores_with, psnr, score_view},
     export::{
@@ -177,13 +177,12 @@ pub(super) fn fidelity(
     cameras: &[Camera],
 ) -> Result<Option<ExportFidelity>, Problem> {
     let exported = exported_beside(source, exported, source.viewable.background)?;
-    let views = cameras.len().min(FIDELITY_VIEWS);
-    let mut sum = 0.0;
-    for place in 0..views {
-        sum += pair(source, &exported, &cameras[place * cameras.len() / views].within(FIDELITY_SIDE))?.psnr;
+    let (mut sum, mut views) = (0.0, 0_u32);
+    for camera in spread(cameras, FIDELITY_VIEWS) {
+        sum += pair(source, &exported, &camera.within(FIDELITY_SIDE))?.psnr;
+        views += 1;
     }
-    let count = u32::try_from(views).unwrap_or(u32::MAX);
-    Ok((views > 0).then(|| ExportFidelity { psnr: sum / f64::from(count), views: count }))
+    Ok((views > 0).then(|| ExportFidelity { psnr: sum / f64::from(views), views }))
 }
 
 /// An exported file's scene, rendered on the source's `background`, which not every format stores.
