@@ -8,7 +8,7 @@ use std::{
 };
 
 use rand::SeedableRng;
-use serde_json::Value;
+use serde_json::{Value, json};
 use tcgs::{
     domain::{AnchorScene, Background, GaussianScene, Lattice},
     export::{SpzVersion, anchors, from_ply, from_spz, to_spz},
@@ -99,6 +99,18 @@ fn anchors_are_baked_and_the_loss_is_said_with_and_without_a_dataset() {
             assert_eq!(measured["test"]["psnr"], quality["psnr"]);
         }
     }
+    // A single photograph is trained on, and nothing held out.
+    let matrix = [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 4]];
+    let table = json!({ "fl_x": 32, "frames": [{ "file_path": "a.png", "transform_matrix": matrix }] });
+    let single = folder.path().join("single");
+    std::fs::create_dir(&single).expect("a folder");
+    std::fs::write(single.join("transforms.json"), table.to_string()).expect("writes");
+    image::RgbImage::new(32, 32).save(single.join("a.png")).expect("writes");
+    let out = folder.path().join("c.ply");
+    let said = answers(line!["export", file, "--format", "ply", "-o", out, "--json", "--dataset", single]);
+    assert_eq!((&said["quality"]["from"], &said["quality"]["psnr"]), (&"sphere".into(), &Value::Null));
+    assert!(number(&said["quality"]["psnr_to_source"]) > 20.0, "{}", said["quality"]);
+
     let text = succeeds(line!["export", file, "--format", "ply", "-o", folder.path().join("b.ply")]);
     for word in ["baked", "fidelity  PSNR", "wrote"] {
         assert!(text.contains(word), "{text}");

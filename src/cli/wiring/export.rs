@@ -130,8 +130,8 @@ pub(crate) fn export(
     Ok(Exported { bytes, gaussians: scene.means.len() - left_out, degree, baking, packing })
 }
 
-/// Renders `source` and `exported`, as read back from its bytes, from the same cameras. With photographs, they must be over
-/// the source's background.
+/// Renders `source` and `exported`, as read back from its bytes, from the same cameras: those of `photographs`, which must be over
+/// the source's background, or without any from a sphere around the scene.
 pub(crate) fn compare(
     source: &Renderer,
     exported: &[u8],
@@ -141,6 +141,7 @@ pub(crate) fn compare(
     let exported = exported_beside(source, exported, background)?;
     let mut to_source = Vec::new();
     let (mut of_source, mut of_exported) = (None, None);
+    let photographs = photographs.filter(|photographs| !photographs.is_empty());
     match photographs {
         Some(photographs) => {
             let (mut before, mut after) = (Vec::new(), Vec::new());
