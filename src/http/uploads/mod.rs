@@ -183,10 +183,12 @@ async fn admit(state: &AppState, caller: &Caller, id: &str, headers: &HeaderMap)
     if announced.is_some_and(|announced: u64| announced > left) {
         return Err(ProblemResponse::too_large(left));
     }
-    require_free_space(state, announced.unwrap_or(0))?;
     let room = match state.blobs().shared_files() {
         // Its bytes are promised to it since it was created.
-        None => None,
+        None => {
+            require_free_space(state, announced.unwrap_or(0))?;
+            None
+        }
         Some(_) => Some(part::reserve(state, announced.unwrap_or(left), checksum.is_some()).await?),
     };
     Part::new(record, file, checksum, room).await

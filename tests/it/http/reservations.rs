@@ -217,6 +217,35 @@ async fn open_uploads_take_room_on_the_disk_unless_a_bucket_holds_them() {
     assert_eq!(begin_two(Some(bucket.connect(&bucket.prefix()))).await, [201, 201]);
 }
 
+/// Only some of it is on the disk at a time.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_part_that_the_disk_has_no_longer_room_for_passes_through_to_a_bucket() {
+    const GIB: u64 = 1 << 30;
+    let Some(bucket) = S3Server::shared() else { return };
+    let objects = bucket.connect(&bucket.prefix());
+    let coverage = Coverage::default();
+    let setup = || Setup { bucket: Some(Arc::clone(&objects)), ..idle() };
+    let server = Server::start_with(&coverage, setup()).await;
+    let begin = server.send("POST", "/v1/uploads", |request| {
+        request.header("tus-resumable", "1.0.0").header("upload-length", 4 * GIB)
+    });
+    let upload = begin.await.expect(201).header("location").to_owned();
+    let free = fs4::available_space(server.data.path()).expect("known");
+    let min_free_space = free.checked_sub(2 * GIB).expect("a disk with 4 GiB");
+    let limits = RequestLimits { min_free_space, ..setup().limits };
+    let fuller = Server::start_in(&coverage, Setup { limits, ..setup() }, Arc::clone(&server.data)).await;
+    let head = format!(
+        "PATCH {upload} HTTP/1.1\r\nHost: localhost\r\nTus-Resumable: 1.0.0\r\nUpload-Offset: 0\r\n\
+         Content-Type: application/offset+octet-stream\r\nExpect: 100-continue\r\nContent-Length: {}\r\n\r\n",
+        4 * GIB
+    );
+    let mut stream = TcpStream::connect(fuller.address).await.expect("connects");
+    stream.write_all(head.as_bytes()).await.expect("sent");
+    let mut leave = [0; 25];
+    stream.read_exact(&mut leave).await.expect("an answer");
+    assert_eq!(String::from_utf8_lossy(&leave), "HTTP/1.1 100 Continue\r\n\r\n");
+}
+
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_project_that_sends_slowly_leaves_places_to_the_others() {
     let limits = RequestLimits { uploads: 4, ..Setup::default().limits };
