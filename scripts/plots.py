@@ -22,7 +22,6 @@ CONVERTED = {"spz": ".spz", "spz_v4": ".spz", "sog": ".sog"}
 WIDTH, TOP, ACROSS, WIDEST, HEIGHT, GUTTER, LEFT, SECOND_ROW = 880, 88, 850, 300, 150, 32, 38, 292
 SPAN_DB = 6.0
 BYTES_TICKS = [(1e5, "0.1"), (1e6, "1"), (1e7, "10 MB")]
-SECONDS_TICKS = [(0, "0"), (50, "50"), (100, "100"), (150, "150 s")]
 
 
 @dataclass(frozen=True)
@@ -34,6 +33,7 @@ class Figure:
     sets: str
     bytes_range: tuple
     seconds_range: tuple
+    seconds_ticks: tuple
 
 
 FIGURES = [
@@ -43,13 +43,15 @@ FIGURES = [
         sets="five sets",
         bytes_range=(1e4, 4e7),
         seconds_range=(0.0, 160.0),
+        seconds_ticks=((0, "0"), (50, "50"), (100, "100"), (150, "150 s")),
     ),
     Figure(
         image="img/long.svg",
         tables="LONG_RUNS.md",
-        sets="chair in runs of 2000 steps",
-        bytes_range=(5e4, 2e7),
-        seconds_range=(0.0, 200.0),
+        sets="chair in runs of 2000 and 10 000 steps",
+        bytes_range=(5e4, 4e7),
+        seconds_range=(0.0, 1700.0),
+        seconds_ticks=((0, "0"), (500, "500"), (1000, "1000"), (1500, "1500 s")),
     ),
 ]
 
@@ -188,21 +190,28 @@ def draw(figure, document):
         of_model = {model: [point for point in points if point.model == model] for model in MODELS}
         first = {model: of[0] for model, of in of_model.items() if of}
         steps = first["tcgs"].steps
-        curve = [point for point in of_model["tcgs"] if point.steps == steps]
-        longer = {model: [point for point in of if point.steps > steps][:1] for model, of in of_model.items()}
-        converted = [point for point in converted if point.steps == steps]
-        shown = [*first.values(), *curve, *converted, *(point for of in longer.values() for point in of)]
+        # By length of the run: the weights of the rate.
+        curves = {}
+        for point in of_model["tcgs"]:
+            curves.setdefault(point.steps, []).append(point)
+        longer = {
+            model: [point for point in of if point.steps > steps and point.name == of[0].name][:1]
+            for model, of in of_model.items()
+        }
+        converted = [point for point in converted if point.steps in curves]
+        curved = [point for curve in curves.values() for point in curve]
+        shown = [*first.values(), *curved, *converted, *(point for of in longer.values() for point in of)]
         psnrs = [point.psnr for point in shown]
         low_db = (min(psnrs) + max(psnrs) - SPAN_DB) / 2
         left = LEFT + column * (width + GUTTER)
 
         panel = Panel(left, TOP, width, low_db, figure.bytes_range, True)
         out += panel.frame(BYTES_TICKS, name, f"{steps} steps")
-        out.append(line("tcgs", [panel.place(point.bytes, point.psnr) for point in curve]))
+        out += [line("tcgs", [panel.place(point.bytes, point.psnr) for point in curve]) for curve in curves.values()]
         out += [cross(*panel.place(point.bytes, point.psnr), point.title(name)) for point in converted]
         seconds = Panel(left, SECOND_ROW, width, low_db, figure.seconds_range, False)
         rows = [(panel, lambda point: point.bytes), (seconds, lambda point: point.seconds)]
-        out += seconds.frame(SECONDS_TICKS)
+        out += seconds.frame(figure.seconds_ticks)
         for place, value in rows:
             for model, point in first.items():
                 for more in longer[model]:
