@@ -64,7 +64,7 @@ pub(super) fn write_parameters(model: &BaseModel, writer: &mut Writer) {
 
 fn read_tables(reader: &mut Reader<'_>, channels: usize) -> Result<BaseModel> {
     let step_index = reader.signed("a step")?;
-    if step_index.abs() > i64::from(MAX_STEP_INDEX) {
+    if step_index.unsigned_abs() > u64::from(MAX_STEP_INDEX.unsigned_abs()) {
         return Err(reader.malformed("a step", step_index));
     }
     let mut distributions = reserve("channels", channels)?;
@@ -249,5 +249,27 @@ impl ChunkTask<'_> {
             }
         }
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn steps_of_tables_are_those_of_the_step_table() {
+        let read = |step: i64| {
+            let mut writer = Writer::new();
+            writer.signed(step);
+            let bytes = writer.into_bytes();
+            read_tables(&mut Reader::new(PART, &bytes), 0)
+        };
+        for step_index in [-16, 0, 16] {
+            let tables = BaseModel::Static { step_index, channels: Vec::new() };
+            assert_eq!(read(i64::from(step_index)), Ok(tables));
+        }
+        for step in [-17, 17, 256, i64::MAX, i64::MIN] {
+            assert_eq!(read(step), Err(DecodeError::malformed(PART, "a step", step)));
+        }
     }
 }

@@ -115,8 +115,8 @@ pub(super) fn write(distribution: Distribution, writer: &mut Writer) {
 pub(super) fn read(reader: &mut Reader<'_>) -> Result<Distribution> {
     let mean = reader.signed("a mean")?;
     let scale = reader.u8("a scale")?;
-    let limit = if scale == CONSTANT { i64::from(MAX_SYMBOL) } else { 16 * i64::from(MAX_SYMBOL) };
-    if mean.abs() > limit {
+    let limit = if scale == CONSTANT { MAX_SYMBOL } else { 16 * MAX_SYMBOL };
+    if mean.unsigned_abs() > u64::from(limit.unsigned_abs()) {
         return Err(reader.malformed("a mean", mean));
     }
     let mean = mean as i32;
@@ -133,6 +133,7 @@ mod tests {
     use rand_pcg::Pcg64Mcg;
 
     use super::*;
+    use crate::codec::error::DecodeError;
 
     fn normal(random: &mut Pcg64Mcg) -> f64 {
         let (u, v): (f64, f64) = (random.random(), random.random());
@@ -183,5 +184,22 @@ mod tests {
             assert_eq!(read(&mut Reader::new("t", &bytes)), Ok(distribution));
         }
         assert!(read(&mut Reader::new("t", &[0, 65])).is_err());
+    }
+
+    #[test]
+    fn means_beyond_the_largest_symbol_are_refused() {
+        let read = |mean: i64, scale: u8| {
+            let mut writer = Writer::new();
+            writer.signed(mean);
+            writer.u8(scale);
+            let bytes = writer.into_bytes();
+            read(&mut Reader::new("t", &bytes))
+        };
+        for (scale, limit) in [(CONSTANT, 1 << 24), (0, 1 << 28)] {
+            assert!(read(limit, scale).is_ok() && read(-limit, scale).is_ok());
+            for mean in [limit + 1, -limit - 1, 1 << 32, i64::MAX, i64::MIN] {
+                assert_eq!(read(mean, scale), Err(DecodeError::malformed("t", "a mean", mean)));
+            }
+        }
     }
 }
