@@ -2,7 +2,10 @@
 
 use rayon::prelude::*;
 
-use super::{coordinates, neighbours, position_inputs, texels, texels::PlaneTexels};
+use super::{
+    coordinates, neighbours, position_inputs, texels,
+    texels::{PLANES, PlaneTexels},
+};
 use crate::domain::{
     ContextFrame,
     context_model::{ContextKind, NEIGHBOURS},
@@ -63,10 +66,10 @@ impl AnchorContext {
         );
     }
 
-    /// Bytes of memory for an anchor, with planes of `channels` channels in all, with or without neighbours.
+    /// Bytes of memory for an anchor, with planes of `channels` channels each, with or without neighbours.
     pub(in crate::codec) fn bytes_per_anchor(channels: usize, neighbours: bool) -> u64 {
         // Coordinates; samples; neighbours by rank and by index, and the sort keys and boxes of their search.
-        12 + 2 * channels as u64 + if neighbours { 2 * 16 + 24 + 4 + 8 } else { 0 }
+        12 + 2 * (PLANES * channels) as u64 + if neighbours { 2 * 16 + 24 + 4 + 8 } else { 0 }
     }
 
     /// Writes the inputs of a network of `kind` for an anchor to `inputs`.

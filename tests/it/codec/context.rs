@@ -5,7 +5,7 @@ use tcgs::{
         ContextChoice, ContextSearch, ContextSettings, DecodeError, DecodeLimits, EncodeError,
         EncodeSettings, Encoded, GroupChoice, context::neighbours, decode, efficiency, encode, inspect,
     },
-    domain::{ContextCandidates, ContextKind, DenseLayer, Mlp, Planes},
+    domain::{ContextCandidates, ContextKind, DenseLayer, Mlp, PlaneContext, Planes},
 };
 
 use super::{
@@ -132,7 +132,7 @@ fn two_thousand_anchors_do_not_carry_a_plane_of_fifty_channels() {
     };
     let widths = [16, 6, 12];
     let planes = Planes { edge, channels, latents, layers: Vec::new() };
-    let set = tcgs::domain::PlaneContext {
+    let set = PlaneContext {
         own: widths.map(|width| network(ContextKind::TriPlane.inputs(channels), width)),
         neighbours: [None, None, None],
         planes,
@@ -236,6 +236,40 @@ fn memory_of_planes_and_contexts_is_limited() {
         assert!(matches!(error, Err(DecodeError::Limit { .. })), "{max_memory_bytes}: {error:?}");
     }
     assert!(decode(&bytes, &limits).is_ok());
+}
+
+#[test]
+fn the_memory_limit_covers_the_inputs_of_every_anchor() {
+    let scene = scene(Recipe { seed: 3, anchors: 50, feature_dim: 1, offsets: 1, masked: 0.0 });
+    for (kind, channels) in [(ContextKind::TriPlane, 100), (ContextKind::TriPlaneKnn, 40)] {
+        let inputs = kind.inputs(channels);
+        let layer = DenseLayer { inputs, outputs: 3, weights: vec![0.01; 3 * inputs], bias: vec![0.5; 3] };
+        let network = [Some(Mlp { layers: vec![layer] }), None, None];
+        let none = [None, None, None];
+        let (own, neighbours) =
+            if kind == ContextKind::TriPlane { (network, none.clone()) } else { (none.clone(), network) };
+        let planes = Planes { edge: 1, channels, latents: vec![0.5; 3 * channels], layers: Vec::new() };
+        let candidates = ContextCandidates {
+            frame: UNIT_FRAME,
+            static_steps: [0.0; 3],
+            position: none,
+            planes: vec![PlaneContext { planes, own, neighbours }],
+        };
+        let settings = fixed([Some(kind), None, None], Some(0));
+        let bytes = encode(&scene, Some(&candidates), &settings).expect("encodes").bytes;
+        // As much as attributes, planes and networks take, of which none takes as much as the inputs.
+        let limits = DecodeLimits { max_memory_bytes: 11_000, ..DecodeLimits::default() };
+        let error = decode(&bytes, &limits);
+        let Err(DecodeError::Limit { what, value, .. }) = error else { panic!("{kind:?}: {error:?}") };
+        assert_eq!(what, "bytes of memory for the context");
+        // Three coordinates, and a sample of all three planes.
+        let mut inputs = 12 + 2 * 3 * channels as u64;
+        if kind == ContextKind::TriPlaneKnn {
+            // Four neighbours by rank and by index, and the cells in their order.
+            inputs += 2 * 16 + 12;
+        }
+        assert!((50 * inputs..=50 * (inputs + 40)).contains(&value), "{value} bytes, {inputs} an anchor");
+    }
 }
 
 /// Anchors that fill a cube, and networks as wide as they come, without a weight: few bytes, and hours of arithmetic if it
