@@ -1,6 +1,7 @@
 //! What is encoded is what is decoded, and what cannot be encoded is refused with the reason.
 
 use proptest::prelude::*;
+use sha2::{Digest as _, Sha256};
 use tcgs::{
     codec::{DecodeError, DecodeLimits, EncodeError, decode, decode_digest, encode, inspect},
     domain::AnchorScene,
@@ -88,6 +89,41 @@ fn ordinary_scenes_come_back() {
     check(&small());
     // More anchors than a chunk.
     check(&scene(Recipe { seed: 2, anchors: 4100, feature_dim: 3, offsets: 2, masked: 0.4 }));
+}
+
+/// The hash once more, from the documentation of [`decode_digest`].
+#[test]
+fn the_decode_hash_is_the_documented_one_for_many_runs_of_anchors() {
+    let scene = scene(Recipe { seed: 4, anchors: 2 * 4096 + 3, feature_dim: 2, offsets: 2, masked: 0.3 });
+    let floats = |hasher: &mut Sha256, values: &[f32]| {
+        values.iter().for_each(|value| hasher.update(value.to_le_bytes()));
+    };
+    let mut hasher = Sha256::new();
+    [scene.len(), 2, 2].iter().for_each(|count| hasher.update((*count as u64).to_le_bytes()));
+    floats(&mut hasher, &[scene.lattice.voxel]);
+    floats(&mut hasher, &scene.lattice.origin);
+    for first in [0, 4096, 8192] {
+        let run = first..scene.len().min(first + 4096);
+        let of = |width: usize| run.start * width..run.end * width;
+        let mut of_run = Sha256::new();
+        scene.cells[of(1)].as_flattened().iter().for_each(|x| of_run.update(x.to_le_bytes()));
+        floats(&mut of_run, &scene.features[of(2)]);
+        floats(&mut of_run, &scene.scalings[of(6)]);
+        floats(&mut of_run, &scene.offsets[of(6)]);
+        scene.masks[of(2)].iter().for_each(|kept| of_run.update([u8::from(*kept)]));
+        hasher.update(of_run.finalize());
+    }
+    for mlp in [&scene.networks.opacity, &scene.networks.covariance, &scene.networks.color] {
+        hasher.update((mlp.layers.len() as u64).to_le_bytes());
+        for layer in &mlp.layers {
+            [layer.inputs, layer.outputs]
+                .iter()
+                .for_each(|count| hasher.update((*count as u64).to_le_bytes()));
+            floats(&mut hasher, &layer.weights);
+            floats(&mut hasher, &layer.bias);
+        }
+    }
+    assert_eq!(decode_digest(&scene).as_bytes()[..], hasher.finalize()[..]);
 }
 
 #[test]
