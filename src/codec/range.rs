@@ -292,6 +292,18 @@ mod tests {
         assert!(encode(&sixty_four).len() <= 9);
     }
 
+    #[test]
+    fn a_stream_has_one_ending() {
+        let bits = [(1 << 15, true), (1 << 15, false)];
+        assert_eq!(encode(&bits), [0x80]);
+        let refused = |bytes: &[u8]| decode(bytes, &bits).expect_err("must be refused").to_string();
+        // Other points of the last interval, which is from 0x80 to 0xc0.
+        for last in 0x81..0xc0 {
+            assert!(refused(&[last]).contains("ends unlike any encoder's"), "{last:x}");
+        }
+        assert!(refused(&[0x80, 0]).contains("goes on after the last symbol"));
+    }
+
     proptest! {
         #[test]
         fn bits_come_back_and_lengths_are_exact(
