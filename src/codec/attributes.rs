@@ -272,4 +272,17 @@ mod tests {
             assert_eq!(read(step), Err(DecodeError::malformed(PART, "a step", step)));
         }
     }
+
+    #[test]
+    fn chunks_that_the_section_has_no_room_for_are_refused_before_they_are_read() {
+        let shape = Shape { anchors: 5, feature_dim: 1, offsets_per_anchor: 1 };
+        let read = |bytes: usize| Layout::read(&vec![0; bytes], shape, 2, [Some(ContextKind::Position); 3]);
+        // Three chunks of nothing but their entries.
+        let layout = read(21).expect("has room for three entries");
+        let anchors: Vec<_> = layout.chunks.iter().map(|chunk| chunk.anchors.clone()).collect();
+        assert_eq!(anchors, [0..2, 2..4, 4..5]);
+        let error = read(20).err();
+        let (what, offset, needed, left) = ("chunk index", 0, 21, 20);
+        assert_eq!(error, Some(DecodeError::Truncated { part: PART, what, offset, needed, left }));
+    }
 }

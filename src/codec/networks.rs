@@ -335,4 +335,56 @@ mod tests {
         let all = RenderNetworks { opacity: empty.clone(), covariance: empty.clone(), color: empty };
         assert!(matches!(check(&all), Err(EncodeError::Shape(_))));
     }
+
+    #[test]
+    fn networks_are_as_deep_and_wide_as_the_format_allows() {
+        let with = |layers: usize, outputs: usize| {
+            let layer = |outputs: usize| DenseLayer {
+                inputs: 1,
+                outputs,
+                weights: vec![0.0; outputs],
+                bias: vec![0.0; outputs],
+            };
+            let mut color = Mlp { layers: vec![layer(1); layers] };
+            color.layers[0] = layer(outputs);
+            check(&RenderNetworks { color, ..networks(|_| 0.0) })
+        };
+        assert_eq!(with(8, 1024), Ok(()));
+        let (what, value, limit) = ("layers of a network", 9, 8);
+        assert_eq!(with(9, 1), Err(EncodeError::TooLarge { what, value, limit }));
+        let (what, value, limit) = ("outputs of a layer", 1025, 1024);
+        assert_eq!(with(1, 1025), Err(EncodeError::TooLarge { what, value, limit }));
+        assert!(matches!(with(1, 0), Err(EncodeError::Shape(_))));
+
+        // Of the two front layers, their scales and three constants of zero.
+        let head = |outputs: &[u8], bias_scale: f32| {
+            [outputs, &bias_scale.to_le_bytes(), &[0, 64, 0, 64, 0, 64]].concat()
+        };
+        let read = |count: u8, first: &[u8], bias_scale: f32| {
+            let rest = head(&[3], 1.0).repeat(usize::from(count) - 1);
+            let section = [&[count][..], &head(first, bias_scale), &rest].concat();
+            read_heads(&mut Reader::new(PART, &section), 6, 3).map(|heads| heads.len())
+        };
+        assert_eq!(read(8, &[0x80, 0x08], 0.0), Ok(8));
+        for (count, first, bias_scale) in [(9, &[3][..], 1.0), (2, &[0x81, 0x08], 1.0), (2, &[0], 1.0)]
+            .into_iter()
+            .chain([-1.0, -0.0, f32::INFINITY, f32::NAN].map(|bias_scale| (2, &[3][..], bias_scale)))
+        {
+            let error = read(count, first, bias_scale).expect_err("must be refused");
+            assert!(matches!(error, DecodeError::Malformed { .. }), "{error}");
+        }
+    }
+
+    #[test]
+    fn the_memory_limit_covers_integers_values_and_their_check() {
+        let section = encode(&quantised(&networks(|index| index as f32), 127));
+        let Err(DecodeError::Limit { value, limit: 1, .. }) = decode(&section, 2, 3, 1) else {
+            panic!("must be refused")
+        };
+        // Weights and biases are held three times, scales of rows once.
+        let layers = [(6, 5), (5, 3), (6, 5), (5, 21), (6, 5), (5, 9)];
+        let bytes = |(inputs, outputs): (u64, u64)| 4 * outputs * (3 * (inputs + 1) + 1);
+        let bytes: u64 = layers.into_iter().map(bytes).sum();
+        assert!((bytes..=bytes * 3 / 2).contains(&value), "{value} for {bytes}");
+    }
 }

@@ -314,7 +314,8 @@ mod tests {
     #[test]
     fn cells_too_far_apart_and_cells_given_twice_are_refused() {
         assert!(matches!(order(&[[0; 3], [1 << 21, 0, 0]]), Err(EncodeError::TooLarge { .. })));
-        assert!(matches!(order(&[[i32::MIN; 3], [i32::MAX; 3]]), Err(EncodeError::TooLarge { .. })));
+        let (what, value, limit) = ("cells along one axis", 1 << 32, 1 << 21);
+        assert_eq!(order(&[[i32::MIN; 3], [i32::MAX; 3]]), Err(EncodeError::TooLarge { what, value, limit }));
         assert_eq!(order(&[[1; 3], [2; 3], [1; 3]]), Err(EncodeError::DuplicateCell { cell: [1; 3] }));
         assert_eq!(order(&[]), Err(EncodeError::Empty));
     }
@@ -329,6 +330,51 @@ mod tests {
         writer.u8(1);
         writer.raw(&section[4..]);
         assert!(decode(&writer.into_bytes(), 2).is_err());
+    }
+
+    #[test]
+    fn cells_beyond_i32_are_refused_on_every_axis() {
+        // A node with its last child alone in every level: four ones each.
+        let with_least = |least: [i64; 3], depth: u8| {
+            let mut section = Writer::new();
+            least.iter().for_each(|low| section.signed(*low));
+            section.u8(depth);
+            let mut stream = StreamEncoder::new();
+            let (mut contexts, mut level) = (Contexts::new(), Level::root());
+            for below in (0..u32::from(depth)).rev() {
+                let sides = Sides::of(&level.sides[0]);
+                code_family(&mut stream, &mut contexts, sides, below, 1 << 7).expect("an encoder");
+                level = level.children(&[1 << 7]);
+            }
+            section.raw(&stream.finish());
+            decode(&section.into_bytes(), 1)
+        };
+        let most = i64::from(i32::MAX);
+        for depth in [0, 1, 21] {
+            let last = most - (1 << depth) + 1;
+            assert_eq!(with_least([last; 3], depth), Ok(vec![[i32::MAX; 3]]));
+            for axis in 0..3 {
+                for wrong in [last + 1, i64::from(i32::MIN) - 1, i64::MAX] {
+                    let mut least = [0; 3];
+                    least[axis] = wrong;
+                    let error = with_least(least, depth).expect_err("must be refused");
+                    assert!(error.to_string().contains("least cell"), "{error}");
+                }
+            }
+        }
+        let error = with_least([0; 3], 22).expect_err("must be refused");
+        assert!(error.to_string().contains("depth is 22"), "{error}");
+    }
+
+    #[test]
+    fn no_section_holds_more_anchors_than_its_likeliest_decisions() {
+        let likeliest = -libm::log2(1.0 - 32.0 / 65_536.0);
+        for length in [0, 1, 100, 1 << 30] {
+            // A stream may leave out up to four bytes of zeros.
+            let most = 8.0 * (length as f64 + 4.0) / likeliest;
+            let bound = max_anchors_exclusive(length) as f64;
+            assert!((most..1.01 * most).contains(&bound), "{bound} anchors, {most} decisions");
+        }
     }
 
     #[test]

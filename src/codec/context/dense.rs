@@ -496,12 +496,64 @@ mod tests {
             }
             let mut narrower = bytes.clone();
             narrower[0] = width - 1;
-            assert!(matches!(read(&narrower, 18, 7), Err(DecodeError::Malformed { what: "a weight", .. })));
+            assert!(matches!(
+                read(&narrower, 18, 7),
+                Err(DecodeError::Malformed { part: "test", what: "a weight", .. })
+            ));
             for wrong in [0, 1, 9, 255] {
                 narrower[0] = wrong;
                 assert!(matches!(read(&narrower, 18, 7), Err(DecodeError::Malformed { .. })));
             }
         }
+    }
+
+    #[test]
+    fn networks_are_as_deep_and_wide_as_the_format_allows() {
+        let constant = |widths: &[usize]| {
+            let layer = |pair: &[usize]| DenseLayer {
+                inputs: pair[0],
+                outputs: pair[1],
+                weights: vec![0.5; pair[0] * pair[1]],
+                bias: vec![0.0; pair[1]],
+            };
+            Mlp { layers: widths.windows(2).map(layer).collect() }
+        };
+        let read = |widths: &[usize]| {
+            let (inputs, outputs) = (widths[0], widths[widths.len() - 1]);
+            let mlp = IntegerMlp::quantise(&constant(widths), bits(8));
+            let bytes = mlp.encode();
+            let read =
+                IntegerMlp::decode("test", &mut Reader::new("test", &bytes), inputs, outputs, u64::MAX)?;
+            assert_eq!(read, mlp);
+            Ok::<_, DecodeError>(())
+        };
+        // As wide as all channels of the widest scene.
+        for widths in [&[512, 513][..], &[1, 512, 513], &[3, 2, 2, 2, 2]] {
+            let outputs = widths[widths.len() - 1];
+            assert_eq!(IntegerMlp::check(&constant(widths), widths[0], outputs), Ok(()));
+            assert_eq!(read(widths), Ok(()));
+        }
+        for (widths, wrong) in [
+            (&[513, 1][..], "inputs of a network is 513"),
+            (&[1, 513, 1], "layer width is 513"),
+            (&[3, 2, 2, 2, 2, 2], "number of layers is 5"),
+        ] {
+            let outputs = widths[widths.len() - 1];
+            assert!(IntegerMlp::check(&constant(widths), widths[0], outputs).is_err(), "{widths:?}");
+            let error = read(widths).expect_err("must be refused").to_string();
+            assert!(error.contains(wrong), "{error}");
+        }
+    }
+
+    #[test]
+    fn the_memory_limit_covers_weights_and_rows() {
+        let mut random = Pcg64Mcg::seed_from_u64(4);
+        let bytes = IntegerMlp::quantise(&mlp(&mut random, &[18, 40, 7]), bits(8)).encode();
+        let read = IntegerMlp::decode("test", &mut Reader::new("test", &bytes), 18, 7, 1);
+        let Err(DecodeError::Limit { value, limit: 1, .. }) = read else { panic!("{read:?}") };
+        // Padded rows of 16 bits; a shift and a bias a row, first as 32 bits.
+        let memory = 40 * (2 * 32 + 9) + 7 * (2 * 48 + 9);
+        assert!((memory..=4 * memory).contains(&value), "{value} bytes for {memory}");
     }
 
     #[test]

@@ -289,6 +289,66 @@ mod tests {
         refused(|planes| planes.edge = 3);
         refused(|planes| planes.layers[0].inputs = 3);
         refused(|planes| planes.layers[0].outputs = 0);
+        refused(|planes| planes.layers[0].weights.push(0.0));
+        refused(|planes| planes.layers[0].bias.push(0.0));
+        refused(|planes| (planes.layers[0].inputs, planes.layers[0].outputs) = (3, 2));
+        refused(|planes| planes.latents.push(0.0));
+    }
+
+    /// Edge, channels and layers of so many channels, each constant.
+    fn constant_planes(edge: u64, widths: &[u64]) -> Vec<u8> {
+        let mut writer = Writer::new();
+        [edge, widths[0], widths.len() as u64 - 1].iter().for_each(|count| writer.varint(*count));
+        for width in &widths[1..] {
+            writer.varint(*width);
+            writer.raw(&[0, 64, 0, 64, 0, 64]);
+        }
+        writer.into_bytes()
+    }
+
+    #[test]
+    fn planes_are_as_large_as_the_format_allows_after_every_layer() {
+        let refusal = |edge: u64, widths: &[u64]| {
+            let section = constant_planes(edge, widths);
+            IntegerPlanes::decode(&section, 1).expect_err("no memory is allowed").to_string()
+        };
+        for (edge, widths) in
+            [(512, &[1, 1][..]), (16, &[1; 7]), (1, &[128, 128]), (512, &[1, 5]), (1023, &[5])]
+        {
+            let error = refusal(edge, widths);
+            assert!(error.contains("bytes of memory for planes"), "{edge}, {widths:?}: {error}");
+        }
+        for (edge, widths, wrong) in [
+            (513, &[1, 1][..], "the edge of a plane is 1026"),
+            (257, &[1, 1, 1], "the edge of a plane is 1028"),
+            (1, &[1; 8], "number of layers is 7"),
+            (1, &[1, 129], "channels of a layer is 129"),
+            (512, &[1, 6], "the number of plane values is 18874368"),
+            (512, &[1, 6, 1], "the number of plane values is 18874368"),
+        ] {
+            let error = refusal(edge, widths);
+            assert!(error.contains(wrong), "{edge}, {widths:?}: {error}");
+        }
+        let mut random = Pcg64Mcg::seed_from_u64(8);
+        assert_eq!(IntegerPlanes::check(&planes(&mut random, 2, &[1; 7])), Ok(()));
+        for (edge, widths) in [(2, &[1; 8][..]), (513, &[1, 1])] {
+            assert!(IntegerPlanes::check(&planes(&mut random, edge, widths)).is_err());
+        }
+    }
+
+    #[test]
+    fn the_memory_limit_covers_the_largest_layer() {
+        for (edge, widths, largest) in [
+            (8, &[3][..], 3 * 3 * 64),
+            (8, &[3, 5], 3 * 5 * 256),
+            (8, &[100, 2], 3 * 100 * 64),
+            (4, &[2, 50, 1], 3 * 50 * 64),
+        ] {
+            let read = IntegerPlanes::decode(&constant_planes(edge, widths), 1);
+            let Err(DecodeError::Limit { value, limit: 1, .. }) = read else { panic!("{read:?}") };
+            // Values of 16 bits: input and output of a layer, and the planes joined.
+            assert_eq!(value, 3 * 2 * largest, "{widths:?} at {edge}");
+        }
     }
 
     #[test]

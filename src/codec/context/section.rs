@@ -89,3 +89,35 @@ impl Layout {
         Ok(networks)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_frame_is_of_cells_and_has_an_extent_on_every_axis() {
+        let read = |centre: [i64; 3], half: [u64; 3]| {
+            let mut writer = Writer::new();
+            centre.iter().for_each(|cell| writer.signed(*cell));
+            half.iter().for_each(|cells| writer.varint(*cells));
+            Layout::read(&writer.into_bytes(), [None; 3]).map(|layout| layout.frame)
+        };
+        let (centre, half) = ([i32::MIN, 0, i32::MAX], [1, 77, u32::MAX]);
+        let frame = ContextFrame { centre, half };
+        assert_eq!(read(centre.map(i64::from), half.map(u64::from)), Ok(frame));
+        for axis in 0..3 {
+            for wrong in [i64::from(i32::MIN) - 1, 1 << 31, i64::MAX] {
+                let mut centre = [0; 3];
+                centre[axis] = wrong;
+                let error = read(centre, [1; 3]).expect_err("must be refused").to_string();
+                assert!(error.contains(&format!("centre is {wrong}")), "{error}");
+            }
+            for wrong in [0, 1 << 32, u64::MAX] {
+                let mut half = [1; 3];
+                half[axis] = wrong;
+                let error = read([0; 3], half).expect_err("must be refused").to_string();
+                assert!(error.contains(&format!("half is {wrong}")), "{error}");
+            }
+        }
+    }
+}

@@ -3,11 +3,14 @@
 use proptest::prelude::*;
 use sha2::{Digest as _, Sha256};
 use tcgs::{
-    codec::{DecodeError, DecodeLimits, EncodeError, decode, decode_digest, encode, inspect},
-    domain::AnchorScene,
+    codec::{DecodeError, DecodeLimits, EncodeError, EncodeSettings, decode, decode_digest, encode, inspect},
+    domain::{AnchorScene, Lattice},
 };
 
-use super::synthetic::{Recipe, scene, settings, small, tiny};
+use super::{
+    synthetic::{Recipe, scene, settings, small, tiny},
+    wire,
+};
 
 /// Encodes, decodes and checks everything that must hold of any scene.
 fn check(scene: &AnchorScene) {
@@ -210,8 +213,40 @@ fn what_cannot_be_written_is_refused_with_the_reason() {
         encode(&small(), None, &wrong).expect_err("no step"),
         EncodeError::Setting { name: "feature step", value: 0.0 }
     );
+    let (what, value, limit) = ("feature channels", 257, 256);
+    assert_eq!(refusal(|scene| scene.feature_dim = 257), EncodeError::TooLarge { what, value, limit });
+    let (what, value, limit) = ("offsets an anchor", 65, 64);
+    assert_eq!(refusal(|scene| scene.offsets_per_anchor = 65), EncodeError::TooLarge { what, value, limit });
+    // As many as the format has, but not as many as the scene has numbers for.
+    assert!(matches!(refusal(|scene| scene.feature_dim = 256), EncodeError::Shape(_)));
+    assert!(matches!(refusal(|scene| scene.offsets_per_anchor = 64), EncodeError::Shape(_)));
     let empty = scene(Recipe { seed: 1, anchors: 0, feature_dim: 2, offsets: 2, masked: 0.0 });
     assert_eq!(encode(&empty, None, &settings()).expect_err("no anchor"), EncodeError::Empty);
+}
+
+#[test]
+fn steps_and_positions_are_usable_at_both_ends_of_their_range() {
+    let with = |feature_step: f32, voxel: f32, origin: f32| {
+        let mut scene = tiny();
+        scene.features.fill(0.0);
+        scene.scalings.fill(voxel);
+        scene.lattice = Lattice { voxel, origin: [0.0, origin, 0.0] };
+        let encoded = encode(&scene, None, &EncodeSettings { feature_step, ..settings() })?;
+        Ok::<_, EncodeError>(encoded.scene.lattice.position([i32::MIN; 3]))
+    };
+    for (feature_step, voxel, origin) in [(1.4e-37, 3e-36, 0.0), (1.7e30, 1e29, 1e38), (1.0, 1.0, -f32::MAX)]
+    {
+        let position = with(feature_step, voxel, origin).expect("encodes");
+        assert!(position.iter().all(|x| x.is_finite()), "{position:?}");
+    }
+    // Normal numbers whose finest step is not; finite ones whose coarsest value is not.
+    for feature_step in [1.2e-38, 1.3e-37, 2e30, 1e31, 1e32] {
+        let error = EncodeError::Setting { name: "feature step", value: feature_step };
+        assert_eq!(with(feature_step, 0.01, 0.0), Err(error));
+    }
+    for origin in [3e38, -3e38] {
+        assert_eq!(with(1.0, 1e29, origin), Err(EncodeError::Setting { name: "origin", value: origin }));
+    }
 }
 
 #[test]
@@ -229,6 +264,23 @@ fn limits_are_kept() {
 }
 
 #[test]
+fn sixteen_mebibytes_are_allowed_whatever_the_length_of_a_file() {
+    let bytes = encode(&small(), None, &settings()).expect("encodes").bytes;
+    let limits = DecodeLimits { max_expansion: 0, ..DecodeLimits::default() };
+    assert!(decode(&bytes, &limits).is_ok());
+    // The manifest's first varint: 100 000 anchors instead of 120.
+    let mut parts = wire::parts(&bytes);
+    assert_eq!(parts[0].2[0], 120);
+    parts[0].2.splice(..1, [0xa0, 0x8d, 0x06]);
+    let bytes = wire::file((1, 0), &parts);
+    for max_expansion in [0, 7] {
+        let error = decode(&bytes, &DecodeLimits { max_expansion, ..limits });
+        let Err(DecodeError::Limit { limit, .. }) = error else { panic!("{error:?}") };
+        assert_eq!(limit, (16 << 20) + max_expansion * bytes.len() as u64);
+    }
+}
+
+#[test]
 fn the_memory_limit_covers_every_array_of_an_anchor() {
     for (feature_dim, offsets) in [(2, 7), (16, 1), (5, 4)] {
         let scene = scene(Recipe { seed: 3, anchors: 50, feature_dim, offsets, masked: 0.0 });
@@ -237,8 +289,9 @@ fn the_memory_limit_covers_every_array_of_an_anchor() {
         let Err(DecodeError::Limit { value, limit: 1, .. }) = error else { panic!("{error:?}") };
         // A symbol and a float a value, a byte a mask, three coordinates.
         let arrays = 50 * (8 * (feature_dim + 6 + 3 * offsets) + offsets + 12) as u64;
-        // Step indices and the octree take the same whatever the widths are.
-        assert!((arrays..=arrays + 50 * 100).contains(&value), "{value} bytes for arrays of {arrays}");
+        // Step indices, and a code, six neighbours and a family in two levels of the octree, whatever the widths are.
+        let least = arrays + 50 * (3 + 2 * (8 + 6 * 4 + 1));
+        assert!((least..=arrays + 50 * 100).contains(&value), "{value} bytes for arrays of {arrays}");
     }
 }
 
