@@ -7,6 +7,7 @@ mod figures;
 mod fixtures;
 mod golden;
 mod hostile;
+mod inspection;
 mod regression;
 mod round_trip;
 mod rounding;
