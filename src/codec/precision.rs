@@ -126,10 +126,13 @@ fn activate(activation: Activation, outputs: &[f32]) -> Vec<f64> {
 
 #[cfg(test)]
 mod tests {
+    use std::collections::BTreeSet;
+
     use rand::{RngExt, SeedableRng};
     use rand_pcg::Pcg64Mcg;
 
     use super::*;
+    use crate::domain::{Lattice, NearPlane, RenderNetworks, SceneScale};
 
     #[test]
     fn the_forward_pass_has_relu_between_layers_only() {
@@ -141,6 +144,51 @@ mod tests {
         };
         let mlp = Mlp { layers: vec![identity(1.0, 0.0), identity(-2.0, 1.0)] };
         assert_eq!(forward(&mlp, &[3.0, -4.0]), [-5.0, 1.0]);
+    }
+
+    #[test]
+    fn activations_are_those_of_opacity_colour_and_shape() {
+        let near = |activation: Activation, outputs: &[f32], expected: &[f64]| {
+            let values = activate(activation, outputs);
+            assert_eq!(values.len(), expected.len());
+            let apart = values.iter().zip(expected).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+            assert!(apart < 1e-6, "{activation:?}: {values:?}");
+        };
+        near(Activation::Tanh, &[0.0, 1.0, -1.0], &[0.0, 0.761_594_2, -0.761_594_2]);
+        near(Activation::Logistic, &[0.0, 1.0, -1.0], &[0.5, 0.731_058_6, 0.268_941_4]);
+        let outputs = [0.0, 1.0, -1.0, 2.0, 0.0, -6.0, 3.0, 0.0, 0.0, 0.0, 0.0, 0.5, 0.0, 0.0];
+        let shapes = [0.5, 0.731_058_6, 0.268_941_4, 2.0 / 7.0, 0.0, -6.0 / 7.0, 3.0 / 7.0];
+        near(Activation::Covariance, &outputs, &[&shapes[..], &[0.5, 0.5, 0.5, 0.0, 1.0, 0.0, 0.0]].concat());
+    }
+
+    #[test]
+    fn inputs_are_of_evenly_spaced_anchors_seen_from_every_side() {
+        let none = || Mlp { layers: Vec::new() };
+        let scene = AnchorScene {
+            lattice: Lattice { voxel: 0.5, origin: [9.0; 3] },
+            // 2, 3 and 6 units wide, so that the diagonal is 7.
+            cells: (0..600).map(|index| [index % 5 - 3, index % 7, index % 13 + 1]).collect(),
+            feature_dim: 2,
+            offsets_per_anchor: 1,
+            features: (0_u16..1200).map(f32::from).collect(),
+            scalings: Vec::new(),
+            offsets: Vec::new(),
+            masks: Vec::new(),
+            networks: RenderNetworks { opacity: none(), covariance: none(), color: none() },
+            near: NearPlane::DEFAULT,
+            scene_scale: SceneScale::new(0.25).expect("a length"),
+        };
+        let inputs = sample_inputs(&scene);
+        assert_eq!(inputs.len(), 200);
+        let mut views = BTreeSet::new();
+        for (input, anchor) in inputs.iter().zip((0_u16..).step_by(3)) {
+            let [first, second, x, y, z, distance] = input[..] else { panic!("{input:?}") };
+            assert_eq!([first, second, distance], [f32::from(2 * anchor), f32::from(2 * anchor + 1), 14.0]);
+            let length = (x * x + y * y + z * z).sqrt();
+            assert!(length == 0.0 || (length - 1.0).abs() < 1e-6, "{input:?}");
+            views.insert([x, y, z].map(|value| (value > 0.0, value < 0.0)));
+        }
+        assert_eq!(views.len(), 27);
     }
 
     #[test]

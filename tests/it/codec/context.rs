@@ -3,7 +3,8 @@
 use tcgs::{
     codec::{
         ContextChoice, ContextSearch, ContextSettings, DecodeError, DecodeLimits, EncodeError,
-        EncodeSettings, Encoded, GroupChoice, context::neighbours, decode, efficiency, encode, inspect,
+        EncodeSettings, Encoded, GroupChoice, GroupCosts, RegressionSearch, context::neighbours, decode,
+        efficiency, encode, inspect,
     },
     domain::{ContextCandidates, ContextKind, DenseLayer, Mlp, PlaneContext, Planes},
 };
@@ -94,6 +95,38 @@ fn listed_costs_are_the_bytes_of_the_real_files() {
     let frame = frame.ranges.iter().find(|range| range.what.starts_with("frame of")).expect("a frame").length;
     let context = counts.networks - tables.byte_counts.networks - frame;
     assert_eq!(sum, counts.features + counts.scalings + counts.offsets + context);
+}
+
+#[test]
+fn of_every_kind_the_cheapest_width_is_found() {
+    let Dependent { scene, candidates } = dependent(recipe(24));
+    let costs = |search: ContextSearch| {
+        let context = ContextSettings { search, regression: RegressionSearch::Never, coarser: [0; 3] };
+        let encoded = encode(&scene, Some(&candidates), &EncodeSettings { context, ..settings() });
+        let bytes = encoded.expect("encodes").bytes;
+        let manifest = decode(&bytes, &DecodeLimits::NONE).expect("decodes").manifest;
+        (bytes.len(), manifest.contexts.map(|context| context.bytes))
+    };
+    let (length, cheapest) = costs(ContextSearch::Cheapest);
+    for kind in [ContextKind::Position, ContextKind::TriPlane, ContextKind::TriPlaneKnn] {
+        let of_kind = |costs: [GroupCosts; 3]| {
+            costs.map(|costs| match kind {
+                ContextKind::Position => costs.position,
+                ContextKind::TriPlane => costs.tri_plane,
+                ContextKind::TriPlaneKnn => costs.tri_plane_knn,
+            })
+        };
+        let mut least = [u64::MAX; 3];
+        for weight_bits in [8, 6, 4] {
+            let groups = [GroupChoice::Network { kind, weight_bits }; 3];
+            let (other, costs) = costs(ContextSearch::Fixed(ContextChoice { planes: Some(0), groups }));
+            assert!(length <= other, "{length} bytes, {other} with {kind:?} of {weight_bits} bits");
+            for (least, cost) in least.iter_mut().zip(of_kind(costs)) {
+                *least = (*least).min(cost.expect("was coded"));
+            }
+        }
+        assert_eq!(of_kind(cheapest), least.map(Some), "{kind:?}");
+    }
 }
 
 #[test]
