@@ -54,3 +54,25 @@ impl Changes {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use futures_util::FutureExt as _;
+
+    use super::*;
+
+    #[tokio::test]
+    async fn a_change_ends_a_wait_and_where_nothing_tells_of_changes_no_wait_ends() {
+        let told = watch::Sender::new(Told::default());
+        let mut changes = Changes::of(told.subscribe());
+        assert!(!changes.is_live() && changes.wait().now_or_never().is_none(), "it is not connected yet");
+        told.send_modify(|told| told.is_live = true);
+        changes.wait().now_or_never().expect("told of a change");
+        assert!(changes.is_live() && changes.wait().now_or_never().is_none(), "told once");
+        drop(told);
+        assert!(!Changes::never().is_live());
+        for mut silent in [changes, Changes::never()] {
+            assert!(silent.wait().now_or_never().is_none());
+        }
+    }
+}

@@ -275,6 +275,16 @@ mod tests {
     }
 
     #[test]
+    fn a_missed_deadline_says_how_often_the_job_was_started() {
+        for (attempts, said) in
+            [(0, "it was never started"), (1, "it was started once"), (2, "it was started 2 times")]
+        {
+            let problem = deadline_exceeded(Timestamp::UNIX_EPOCH, attempts);
+            assert!(problem.detail.ends_with(said), "{problem}");
+        }
+    }
+
+    #[test]
     fn a_release_refunds_the_attempt_and_resets_the_losses() {
         let (_, cause, next) = decide(
             &QueuePolicy::default(),
