@@ -50,6 +50,8 @@ mod tests {
             assert!(BlobError::Store(wrapped).is_disk_full());
             assert!(is_disk_full(&io::Error::other(BlobError::Io(full()))));
         }
+        // https://www.sqlite.org/rescode.html#ioerr_shmsize
+        assert_eq!(IOERR_SHMSIZE, 4874);
         assert!(!BlobError::TooLarge { limit: 1 }.is_disk_full());
         assert!(!is_disk_full(&io::Error::from(io::ErrorKind::PermissionDenied)));
     }

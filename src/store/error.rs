@@ -171,3 +171,62 @@ const BUSY: u32 = 5;
 const LOCKED: u32 = 6;
 const IOERR: u32 = 10;
 const CANTOPEN: u32 = 14;
+
+#[cfg(test)]
+mod tests {
+    use std::{io, time::Duration};
+
+    use sqlx::{ConnectOptions as _, SqliteConnection, sqlite::SqliteConnectOptions};
+
+    use super::*;
+
+    async fn run(on: &mut SqliteConnection, statement: &'static str) -> Result<(), StoreError> {
+        sqlx::raw_sql(statement).execute(on).await?;
+        Ok(())
+    }
+
+    #[tokio::test]
+    async fn a_busy_database_may_answer_later_and_a_full_one_has_written_nothing() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let options = SqliteConnectOptions::new().filename(folder.path().join("database"));
+        let options = options.create_if_missing(true).busy_timeout(Duration::ZERO);
+        let mut one = options.connect().await.expect("a connection");
+        let mut other = options.connect().await.expect("a connection");
+        run(&mut one, "PRAGMA journal_mode = WAL; CREATE TABLE numbers (number)").await.expect("made");
+
+        run(&mut one, "BEGIN IMMEDIATE").await.expect("begun");
+        let busy = run(&mut other, "BEGIN IMMEDIATE").await.expect_err("one writes at a time");
+        run(&mut one, "ROLLBACK; BEGIN; SELECT * FROM numbers").await.expect("read");
+        run(&mut other, "INSERT INTO numbers VALUES (1)").await.expect("written");
+        // SQLITE_BUSY_SNAPSHOT, an extended code.
+        let outdated =
+            run(&mut one, "INSERT INTO numbers VALUES (2)").await.expect_err("it has read an older state");
+        for error in [busy, outdated] {
+            assert!(
+                error.is_transient() && !error.is_disk_full() && !error.has_written_nothing(),
+                "{error:?}"
+            );
+        }
+
+        // As small as it can be.
+        run(&mut other, "PRAGMA max_page_count = 1").await.expect("set");
+        let full =
+            run(&mut other, "INSERT INTO numbers VALUES (zeroblob(1000000))").await.expect_err("no room");
+        let no_space = StoreError::Database(io::Error::from(io::ErrorKind::StorageFull).into());
+        for error in [full, no_space] {
+            assert!(
+                error.is_disk_full() && error.has_written_nothing() && !error.is_transient(),
+                "{error:?}"
+            );
+        }
+
+        let wrong = run(&mut other, "INSERT INTO letters VALUES (1)").await.expect_err("no such table");
+        let unknown = StoreError::Database(io::Error::from(io::ErrorKind::TimedOut).into());
+        assert!(!wrong.is_transient() && unknown.is_transient());
+        for error in [wrong, unknown] {
+            assert!(!error.is_disk_full() && !error.has_written_nothing(), "{error:?}");
+        }
+        let refused = StoreError::TooManyJobs { active: 1 };
+        assert!(refused.has_written_nothing() && !refused.is_transient());
+    }
+}
