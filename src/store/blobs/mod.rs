@@ -475,6 +475,7 @@ fn location(digest: Digest) -> ObjectPath {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::domain::{Clock as _, SystemClock};
 
     async fn staged(blobs: &Blobs, content: &[u8]) -> StagedBlob {
         let mut staging = blobs.stage(1 << 30).await.expect("room");
@@ -519,6 +520,69 @@ mod tests {
         let file = blobs.local_copy(blob.digest).await.expect("a file");
         let metadata = std::fs::metadata(file.path()).expect("there");
         assert_eq!((metadata.ino(), metadata.nlink()), (staged_as, 1), "one file, now by its own name alone");
+    }
+
+    #[tokio::test]
+    async fn a_blob_that_was_cut_off_is_mended_by_the_next_publication() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let blobs = Blobs::open(folder.path()).expect("a store");
+        let content = Bytes::from_static(b"twelve bytes");
+        let blob = blobs.put(content.clone()).await.expect("published");
+        let cut = async || {
+            let file = blobs.local_copy(blob.digest).await.expect("a file");
+            std::fs::write(file.path(), &content[..5]).expect("writable");
+            assert!(blobs.republish(blob).await.expect("asked").is_none(), "it is not the blob");
+        };
+        cut().await;
+        let mended = blobs.put_new(content.clone()).await.expect("published");
+        assert_eq!(blobs.read(blob.digest).await.expect("whole"), content);
+        assert!(!blobs.unpublish(mended).await.expect("asked"), "who relied on it before still does");
+        cut().await;
+        blobs.publish(&staged(&blobs, &content).await).await.expect("published");
+        assert_eq!(blobs.read(blob.digest).await.expect("whole"), content);
+    }
+
+    /// As where the file system has no links, or blobs are on another one.
+    #[cfg(target_os = "linux")]
+    #[tokio::test]
+    async fn a_staged_file_that_cannot_be_linked_is_copied() {
+        use std::os::unix::fs::MetadataExt as _;
+
+        let [folder, elsewhere] = [tempfile::tempdir(), tempfile::tempdir_in("/dev/shm")];
+        let (Ok(folder), Ok(elsewhere)) = (folder, elsewhere) else { return };
+        let device = |path: &Path| std::fs::metadata(path).expect("there").dev();
+        if device(folder.path()) == device(elsewhere.path()) {
+            return;
+        }
+        std::os::unix::fs::symlink(elsewhere.path(), folder.path().join("staging")).expect("linked");
+        let blobs = Blobs::open(folder.path()).expect("a store");
+        let upload = staged(&blobs, b"twelve bytes").await;
+        let published = blobs.publish(&upload).await.expect("published");
+        let path = blobs.local_copy(published.blob.digest).await.expect("a file").path().to_owned();
+        assert!(device(&path) != device(upload.path()));
+        drop(upload);
+        assert_eq!(&blobs.read(published.blob.digest).await.expect("whole")[..], b"twelve bytes");
+        assert!(!blobs.unpublish(published).await.expect("asked"), "another may have copied the same");
+    }
+
+    #[tokio::test]
+    async fn what_a_crash_left_of_a_copy_is_removed_once_it_is_old() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let blobs = Blobs::open(folder.path()).expect("a store");
+        let blob = blobs.put(Bytes::from_static(b"twelve bytes")).await.expect("published");
+        let path = blobs.local_copy(blob.digest).await.expect("a file").path().to_owned();
+        let beside = |name: &str| path.with_file_name(name);
+        let (of_a_copy, foreign) = (beside(&format!("{}#1", blob.digest)), beside("notes"));
+        for path in [&of_a_copy, &foreign] {
+            std::fs::write(path, b"half").expect("written");
+        }
+        let age = SignedDuration::from_hours(1);
+        let now = SystemClock.now();
+        assert_eq!(blobs.older_than(age, now).await.expect("a list"), []);
+        assert!(of_a_copy.exists(), "it may still be written");
+        let later = now + SignedDuration::from_hours(2);
+        assert_eq!(blobs.older_than(age, later).await.expect("a list"), [blob.digest]);
+        assert!(!of_a_copy.exists() && foreign.exists(), "nobody knows what the other is");
     }
 
     #[tokio::test]
