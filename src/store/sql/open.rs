@@ -457,7 +457,10 @@ pub(super) async fn temporary_store() -> (tempfile::TempDir, SqlStore) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{domain::SystemClock, store::Overview as _};
+    use crate::{
+        domain::{Scope, SystemClock, SystemRandom},
+        store::{KeyRequest, NewKey, Overview as _},
+    };
 
     fn sqlite(store: &SqlStore) -> &sqlx::SqlitePool {
         let Pool::Sqlite(pool) = &store.writer else { panic!("SQLite") };
@@ -471,6 +474,15 @@ mod tests {
         sqlx::query(sqlx::AssertSqlSafe(update)).execute(sqlite(store)).await.expect("written");
     }
 
+    async fn forget_newest_version(store: &SqlStore) {
+        sqlx::query(
+            "DELETE FROM _sqlx_migrations WHERE version = (SELECT max(version) FROM _sqlx_migrations)",
+        )
+        .execute(sqlite(store))
+        .await
+        .expect("written");
+    }
+
     #[tokio::test]
     async fn an_older_or_newer_schema_is_refused_with_advice() {
         let folder = tempfile::tempdir().expect("a folder");
@@ -479,12 +491,7 @@ mod tests {
         let open = || SqlStore::open_current(&path, clock(), QueuePolicy::default());
         let store = open().await.expect("a new database gets its tables");
         assert!(store.schema_is_current().await.expect("an answer"));
-        sqlx::query(
-            "DELETE FROM _sqlx_migrations WHERE version = (SELECT max(version) FROM _sqlx_migrations)",
-        )
-        .execute(sqlite(&store))
-        .await
-        .expect("written");
+        forget_newest_version(&store).await;
         let fault = open().await.err().expect("refused").to_string();
         assert!(fault.contains("older") && fault.contains("tcgs migrate"), "{fault}");
         store.close().await;
@@ -499,6 +506,34 @@ mod tests {
             let fault = opened.err().expect("refused").to_string();
             assert!(fault.contains("newer"), "{fault}");
         }
+        store.close().await;
+    }
+
+    #[tokio::test]
+    async fn whether_there_are_keys_is_read_without_changing_the_schema() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join("tcgs.sqlite");
+        let clock = || Arc::new(SystemClock);
+        let has_keys = || SqlStore::has_keys_in(&path, clock());
+        let open = || SqlStore::open(&path, clock(), QueuePolicy::default());
+        assert!(!has_keys().await.expect("an answer"));
+        assert!(!has_keys().await.expect("an answer"), "it has made no tables");
+        let (store, change) =
+            SqlStore::migrate(&path, clock(), QueuePolicy::default()).await.expect("a new database");
+        assert_eq!(change, SchemaChange { from: None, to: newest(&store.writer) });
+        store.close().await;
+        assert!(!has_keys().await.expect("an answer"));
+
+        let store = open().await.expect("opens");
+        let request = KeyRequest { name: "a key", scopes: &[Scope::Read], ..KeyRequest::default() };
+        let (key, _) = NewKey::generate(&SystemRandom, SystemClock.now(), request).expect("a key");
+        let key = store.create_key(key).await.expect("made");
+        store.revoke_key(key.id).await.expect("revoked");
+        assert!(has_keys().await.expect("an answer"), "it counts although it is revoked");
+        forget_newest_version(&store).await;
+        let old = version(&store.readers).await.expect("read");
+        assert!(has_keys().await.expect("an answer"));
+        assert_eq!(version(&store.readers).await.expect("read"), old);
         store.close().await;
     }
 

@@ -77,3 +77,20 @@ impl SqlStore {
         .await
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::store::sql::open::temporary_store;
+
+    #[tokio::test]
+    async fn a_row_that_refers_to_nothing_is_a_fault_of_the_database() {
+        let (_folder, store) = temporary_store().await;
+        assert_eq!(store.integrity().await.expect("asked"), [""; 0]);
+        query("PRAGMA foreign_keys = OFF").run(&store.writer).await.expect("set");
+        let event = "INSERT INTO events (job_id, seq, at, kind, attempt, data) VALUES ('gone', 1, 0, 'state', 0, '{}')";
+        query(event).run(&store.writer).await.expect("written");
+        let found = store.integrity().await.expect("asked");
+        assert_eq!(found, ["rows of events refer to rows of jobs that are not there"]);
+    }
+}
