@@ -1,5 +1,6 @@
 //! The store: jobs, datasets, totals and garbage collection on a manual clock, on both databases, and databases of earlier versions.
 
+mod backup;
 mod migrations;
 #[path = "contract.rs"]
 mod postgres;
