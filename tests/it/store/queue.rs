@@ -708,6 +708,51 @@ async fn a_clock_that_jumps_takes_no_job_from_its_worker() {
 }
 
 #[tokio::test]
+async fn other_processes_notice_renewals_on_a_clock_that_is_set_back_to_the_same_time() {
+    let Some(queue) = Queue::new().await else { return };
+    queue.add(1).await;
+    let lease = queue.lease().await;
+    let other = another(&queue).await;
+    for _ in 0..4 {
+        assert_eq!(other.expire_leases().await.expect("looked"), 0);
+        queue.pass(40);
+        queue.clock.set_by(SignedDuration::from_secs(-40));
+        queue.store.heartbeat(&lease).await.expect("renewed");
+    }
+}
+
+#[tokio::test]
+async fn a_time_without_the_database_takes_no_job_from_its_worker() {
+    let Some(queue) = Queue::new().await else { return };
+    queue.add(1).await;
+    let lease = queue.lease().await;
+    assert_eq!(queue.store.expire_leases().await.expect("looked"), 0);
+    queue.pass(50);
+    queue.database.run("ALTER TABLE jobs RENAME TO jobs_that_are_away").await;
+    assert!(queue.store.heartbeat(&lease).await.is_err());
+    queue.pass(50);
+    queue.database.run("ALTER TABLE jobs_that_are_away RENAME TO jobs").await;
+    assert_eq!(queue.store.expire_leases().await.expect("looked"), 0, "it could not be renewed");
+    queue.pass(59);
+    queue.store.heartbeat(&lease).await.expect("still held");
+}
+
+#[tokio::test]
+async fn a_worker_that_has_lost_its_lease_delays_the_end_of_no_other() {
+    let Some(queue) = Queue::new().await else { return };
+    queue.add(1).await;
+    let over = queue.lease().await;
+    queue.store.finish(&over, succeeded()).await.expect("ended");
+    let id = queue.add(2).await;
+    queue.lease().await;
+    queue.pass(59);
+    assert!(is_lost(queue.store.heartbeat(&over).await));
+    queue.pass(1);
+    assert_eq!(queue.store.expire_leases().await.expect("looked"), 1);
+    assert_eq!(queue.outcomes(id).await, [Some(AttemptOutcome::Lost)]);
+}
+
+#[tokio::test]
 async fn a_clock_that_is_set_back_delays_no_job() {
     let Some(queue) = Queue::new().await else { return };
     let back = || queue.clock.set_by(SignedDuration::from_hours(-1));
@@ -908,6 +953,100 @@ async fn a_queued_job_shows_its_position_in_its_project_and_its_attempts() {
     assert_eq!(attempts.len(), 1);
     assert_eq!((attempts[0].number, attempts[0].outcome), (1, Some(AttemptOutcome::Retried)));
     assert_eq!(attempts[0].cause.as_ref().map(|cause| cause.kind.clone()), Some(problem().kind));
+}
+
+#[tokio::test]
+async fn positions_are_counted_up_to_a_bound_which_stands_for_all_later_ones() {
+    let Some(queue) = Queue::new().await else { return };
+    let first = queue.add(1).await;
+    let columns = "project, dataset, options, state, phase, progress, priority, run_after, max_attempts, from_checkpoint";
+    let more = format!(
+        "INSERT INTO jobs (id, created_at, {columns})
+         WITH RECURSIVE counted (number) AS (SELECT 2 UNION ALL SELECT number + 1 FROM counted WHERE number < 1002)
+         SELECT '00000000-0000-0000-0000-' || CAST(100000000000 + number AS TEXT), created_at + number, {columns} FROM jobs, counted"
+    );
+    queue.database.run(&more).await;
+    let position = async |id| queue.record(id).await.queue_position;
+    assert_eq!(position(first).await, Some(1));
+    for (number, expected) in [(2, 2), (999, 999), (1000, 1000), (1001, 1000), (1002, 1000)] {
+        let id = format!("00000000-0000-0000-0000-{}", 100_000_000_000_u64 + number);
+        assert_eq!(position(id.parse().expect("an id")).await, Some(expected), "job {number}");
+    }
+}
+
+#[tokio::test]
+async fn scenes_of_a_curve_keep_their_order() {
+    let Some(queue) = Queue::new().await else { return };
+    let id = queue.add(1).await;
+    let artifact = |kind, lambda, content: &str| {
+        let blob = BlobRef { digest: Digest::of(content.as_bytes()), bytes: content.len() as u64 };
+        Artifact { kind, lambda, blob }
+    };
+    let scene = ArtifactKind::Scene(SceneFormat::Tcgs);
+    let artifacts = vec![
+        artifact(scene, Some(0.002), "middle"),
+        artifact(ArtifactKind::Cameras, None, "cameras"),
+        artifact(scene, Some(0.004), "small"),
+        artifact(scene, Some(0.001), "large"),
+    ];
+    let outcome = Outcome::Succeeded { metrics: Box::new(fakes::metrics()), artifacts: artifacts.clone() };
+    queue.store.finish(&queue.lease().await, outcome).await.expect("ended");
+    let kept = queue.record(id).await;
+    let of = |kind| kept.artifacts.iter().filter(|kept| kept.kind == kind).copied().collect::<Vec<_>>();
+    assert_eq!(of(scene), [artifacts[0], artifacts[2], artifacts[3]]);
+    assert_eq!(of(ArtifactKind::Cameras), [artifacts[1]]);
+}
+
+#[tokio::test]
+async fn limits_of_the_service_hold_for_projects_without_their_own_but_the_default_one() {
+    let limits = ProjectLimits {
+        quota_bytes: Some(10),
+        max_active_jobs: Some(1),
+        max_running_jobs: Some(1),
+        max_priority: Some(3),
+    };
+    let Some(queue) = Queue::with(QueuePolicy { limits, ..QueuePolicy::default() }).await else { return };
+    let own = ProjectLimits { quota_bytes: Some(20), max_active_jobs: Some(2), ..ProjectLimits::default() };
+    let [one, other] =
+        [project(&queue, 100, ProjectLimits::default()).await, project(&queue, 101, own).await];
+    let create = |number, project, content: &'static str| {
+        let dataset = BlobRef { digest: Digest::of(content.as_bytes()), bytes: content.len() as u64 };
+        let new = NewJob::new(JobId(Uuid::from_u128(number)), TrainOptions::default(), dataset);
+        queue.store.create_job(NewJob { project, ..new })
+    };
+    create(1, one, "dataset").await.expect("room");
+    assert!(matches!(create(2, one, "dataset").await, Err(StoreError::TooManyJobs { active: 1 })));
+    queue.store.cancel(JobId(Uuid::from_u128(1))).await.expect("cancelled");
+    let refused = create(2, one, "more").await;
+    assert!(
+        matches!(refused, Err(StoreError::QuotaExceeded { requested: 4, used: 7, quota: 10 })),
+        "{refused:?}"
+    );
+    create(2, one, "few").await.expect("room");
+    for number in 3..=4 {
+        create(number, other, "as many as that").await.expect("room");
+    }
+    assert!(matches!(create(5, other, "dataset").await, Err(StoreError::TooManyJobs { active: 2 })));
+    for number in 5..=7 {
+        create(number, ProjectId::DEFAULT, "as many as that").await.expect("the default project has neither");
+    }
+    let in_force = async |project| {
+        let usage = queue.store.project_usage(Some(project), None, 1).await.expect("read").remove(0);
+        let capacity = queue.store.capacity(project).await.expect("read");
+        assert_eq!(capacity.quota, usage.limits.quota_bytes);
+        usage.limits
+    };
+    assert_eq!(in_force(one).await, limits);
+    assert_eq!(in_force(other).await, own.or(limits));
+    assert_eq!(
+        in_force(ProjectId::DEFAULT).await,
+        ProjectLimits { quota_bytes: None, max_active_jobs: None, ..limits }
+    );
+    let mut running = Vec::new();
+    while let Some(claim) = queue.claim().await {
+        running.push(claim.lease.job.0.as_u128());
+    }
+    assert_eq!(running, [2, 3, 5], "one of each");
 }
 
 #[tokio::test]
