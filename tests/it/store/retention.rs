@@ -4,13 +4,10 @@ use std::time::Duration;
 
 use jiff::SignedDuration;
 use tcgs::{
-    domain::{
-        Digest, EndpointId, JobId, JobState, Problem, ProblemType, ProjectId, SceneFormat, WebhookEvent,
-        WebhookSecret,
-    },
+    domain::{Digest, JobId, JobState, Problem, ProblemType, ProjectId, SceneFormat},
     store::{
         AfterAttempt, DatasetCreation, DeliveryResult, DeliveryState, ExportRecord, IdempotentRequest,
-        JobFilter, NewEndpoint, Outcome, RetryRequest, retention::remove_expired,
+        JobFilter, Outcome, RetryRequest, retention::remove_expired,
     },
 };
 use tokio_util::sync::CancellationToken;
@@ -28,6 +25,13 @@ impl Fixture {
 
     async fn state(&self, job: JobId) -> Option<JobState> {
         self.store.job(job).await.expect("read").map(|record| record.job.state)
+    }
+
+    /// Delivers the message that is due first.
+    async fn deliver(&self) {
+        let due = self.store.take_delivery(Duration::from_secs(60)).await.expect("read").expect("one is due");
+        let result = DeliveryResult { response_status: Some(200), error: None, next: AfterAttempt::Done };
+        self.store.finish_delivery(due.id, due.attempt, result).await.expect("settled");
     }
 
     async fn rows_of(&self, job: JobId) -> i64 {
@@ -144,27 +148,13 @@ async fn a_removal_is_many_short_transactions_and_stops_when_it_is_told() {
 async fn messages_of_removed_jobs_go_once_they_are_delivered() {
     let Some(mut fixture) = Fixture::new().await else { return };
     let project = fixture.project(1).await;
-    let new = NewEndpoint {
-        id: EndpointId(Uuid::now_v7()),
-        project,
-        url: "https://example.com/".into(),
-        events: WebhookEvent::ALL.to_vec(),
-        description: None,
-        secret: WebhookSecret::generate(&tcgs::domain::SystemRandom).expect("drawn"),
-    };
-    let endpoint = fixture.store.create_endpoint(new, 9).await.expect("made").expect("room").id;
+    let endpoint = fixture.endpoint(project).await;
     let job = fixture.job(1, project, None, "a dataset").await;
     fixture.finish(failed()).await;
     let messages = fixture.store.deliveries(endpoint, None, 9).await.expect("read");
     assert!(messages.len() >= 2, "{messages:?}");
-    let deliver = async |next| {
-        let due =
-            fixture.store.take_delivery(Duration::from_secs(60)).await.expect("read").expect("one is due");
-        let result = DeliveryResult { response_status: Some(200), error: None, next };
-        fixture.store.finish_delivery(due.id, due.attempt, result).await.expect("settled");
-    };
     for _ in 1..messages.len() {
-        deliver(AfterAttempt::Done).await;
+        fixture.deliver().await;
     }
     let week = Duration::from_secs(7 * 24 * 3600);
     fixture.clock.advance(DAY * 8);
@@ -176,10 +166,32 @@ async fn messages_of_removed_jobs_go_once_they_are_delivered() {
         left.iter().map(|message| (message.job, message.state)).collect::<Vec<_>>(),
         [(job, DeliveryState::Pending)]
     );
-    deliver(AfterAttempt::Done).await;
+    fixture.deliver().await;
     fixture.remove(Some(week)).await;
     assert!(fixture.store.deliveries(endpoint, None, 9).await.expect("read").is_empty());
     fixture.check("the last message").await;
+}
+
+#[tokio::test]
+async fn delivered_messages_go_after_thirty_days_although_their_job_stays() {
+    let Some(mut fixture) = Fixture::new().await else { return };
+    let project = fixture.project(1).await;
+    let endpoint = fixture.endpoint(project).await;
+    let [first, second] =
+        [fixture.job(1, project, None, "a dataset").await, fixture.job(2, project, None, "a dataset").await];
+    fixture.deliver().await;
+    let told = async || {
+        let messages = fixture.store.deliveries(endpoint, None, 9).await.expect("read");
+        messages.iter().map(|message| message.job).collect::<Vec<_>>()
+    };
+    fixture.clock.advance(DAY * 30);
+    fixture.remove(None).await;
+    assert_eq!(told().await, [second, first]);
+    fixture.clock.advance(SignedDuration::from_secs(1));
+    fixture.remove(None).await;
+    assert_eq!(told().await, [second], "what is still to be delivered stays");
+    fixture.deliver().await;
+    assert_eq!(told().await, [], "delivered so late, it is not kept");
 }
 
 #[tokio::test]
@@ -194,6 +206,16 @@ async fn records_of_requests_and_messages_go_without_further_requests() {
     fixture.clock.advance(SignedDuration::from_hours(23));
     fixture.remove(None).await;
     assert_eq!(fixture.database.number(requests).await, 1);
+    // More than go in one transaction.
+    fixture
+        .database
+        .run(
+            "INSERT INTO idempotency (project, key, fingerprint, status, resource, created_at)
+             WITH RECURSIVE counted (number) AS (SELECT 1 UNION ALL SELECT number + 1 FROM counted WHERE number < 1200)
+             SELECT project, CAST(number AS TEXT), fingerprint, status, resource, created_at FROM idempotency, counted",
+        )
+        .await;
+    assert_eq!(fixture.database.number(requests).await, 1201);
     fixture.clock.advance(SignedDuration::from_hours(2));
     fixture.remove(None).await;
     assert_eq!(fixture.database.number(requests).await, 0);

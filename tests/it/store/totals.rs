@@ -78,6 +78,19 @@ impl Fixture {
         self.store.create_job(new).await.expect("created").job.id
     }
 
+    /// An endpoint that is told of everything.
+    pub(super) async fn endpoint(&self, project: ProjectId) -> EndpointId {
+        let new = NewEndpoint {
+            id: EndpointId(Uuid::now_v7()),
+            project,
+            url: "https://example.com/".into(),
+            events: WebhookEvent::ALL.to_vec(),
+            description: None,
+            secret: WebhookSecret::generate(&tcgs::domain::SystemRandom).expect("drawn"),
+        };
+        self.store.create_endpoint(new, 9).await.expect("made").expect("room").id
+    }
+
     pub(super) async fn finish(&self, outcome: Outcome) {
         let claim = self.store.claim("worker").await.expect("an answer").expect("a job");
         self.store.finish(&claim.lease, outcome).await.expect("ended");
@@ -126,15 +139,7 @@ async fn totals_equal_a_recount_after_every_change() {
 
     // Endpoints first, so that every change of a job is told.
     for project in [one, ProjectId::DEFAULT] {
-        let new = NewEndpoint {
-            id: EndpointId(Uuid::now_v7()),
-            project,
-            url: "https://example.com/".into(),
-            events: WebhookEvent::ALL.to_vec(),
-            description: None,
-            secret: WebhookSecret::generate(&tcgs::domain::SystemRandom).expect("drawn"),
-        };
-        fixture.store.create_endpoint(new, 9).await.expect("made").expect("room");
+        fixture.endpoint(project).await;
     }
     let mut scenes = Vec::new();
     for (number, (project, content)) in
