@@ -61,6 +61,16 @@ impl Fixture {
         }
     }
 
+    /// Waits until a collection has removed a blob.
+    async fn gone(&self, blob: BlobRef) {
+        let gone = async {
+            while self.is_there(blob).await {
+                tokio::time::sleep(Duration::from_millis(1)).await;
+            }
+        };
+        tokio::time::timeout(LONGEST, gone).await.expect("it is collected");
+    }
+
     async fn keep(&self, dataset: BlobRef) -> DatasetId {
         let summary = DatasetSummary {
             layout: Layout::Blender,
@@ -272,14 +282,6 @@ async fn garbage_is_collected_until_shutdown_and_soon_after_a_request() {
         blob_grace: GRACE,
         ..GarbagePolicy::default()
     };
-    let gone = async |blob: BlobRef| {
-        let gone = async {
-            while fixture.is_there(blob).await {
-                tokio::time::sleep(Duration::from_millis(1)).await;
-            }
-        };
-        tokio::time::timeout(LONGEST, gone).await.expect("it is collected");
-    };
     let first = fixture.put("there before the first round").await;
     fixture.pass(61);
     let stop = CancellationToken::new();
@@ -291,12 +293,12 @@ async fn garbage_is_collected_until_shutdown_and_soon_after_a_request() {
         policy,
         stop.clone(),
     ));
-    gone(first).await;
+    fixture.gone(first).await;
     for content in ["let go once", "let go again"] {
         let blob = fixture.put(content).await;
         fixture.pass(61);
         fixture.blobs.request_collection();
-        gone(blob).await;
+        fixture.gone(blob).await;
     }
     assert!(!keeping.is_finished(), "it goes on until it is told to stop");
     stop.cancel();
@@ -304,6 +306,37 @@ async fn garbage_is_collected_until_shutdown_and_soon_after_a_request() {
     let kept = fixture.put("after the end").await;
     fixture.blobs.request_collection();
     assert!(fixture.is_there(kept).await);
+}
+
+#[tokio::test]
+async fn rounds_of_collection_keep_their_distance() {
+    let day = Duration::from_secs(24 * 3600);
+    let policy = |at_most_every| GarbagePolicy {
+        every: day,
+        at_most_every,
+        blob_grace: GRACE,
+        ..GarbagePolicy::default()
+    };
+    // Without a request there is none for a day, and with one neither if it is too early.
+    for (policy, request) in [(policy(Duration::ZERO), false), (policy(day), true)] {
+        let Some(fixture) = Fixture::new().await else { return };
+        let first = fixture.put("there before the first round").await;
+        fixture.pass(61);
+        let stop = CancellationToken::new();
+        let clock: Arc<dyn Clock> = fixture.clock.clone();
+        let (store, blobs) = (fixture.store.clone(), fixture.blobs.clone());
+        let keeping = tokio::spawn(collect_garbage(store, blobs, clock, policy, stop.clone()));
+        fixture.gone(first).await;
+        let later = fixture.put("there after it").await;
+        fixture.pass(61);
+        if request {
+            fixture.blobs.request_collection();
+        }
+        tokio::time::sleep(Duration::from_millis(100)).await;
+        assert!(fixture.is_there(later).await, "{policy:?}");
+        stop.cancel();
+        tokio::time::timeout(LONGEST, keeping).await.expect("it stops").expect("in order");
+    }
 }
 
 #[tokio::test]
@@ -328,12 +361,7 @@ async fn what_a_job_past_its_retention_stored_is_removed_in_the_same_round() {
     let clock: Arc<dyn Clock> = fixture.clock.clone();
     let (store, blobs) = (fixture.store.clone(), fixture.blobs.clone());
     let keeping = tokio::spawn(collect_garbage(store, blobs, clock, policy, stop.clone()));
-    let gone = async {
-        while fixture.is_there(archive).await {
-            tokio::time::sleep(Duration::from_millis(1)).await;
-        }
-    };
-    tokio::time::timeout(LONGEST, gone).await.expect("it is collected");
+    fixture.gone(archive).await;
     stop.cancel();
     tokio::time::timeout(LONGEST, keeping).await.expect("it stops").expect("in order");
     for id in ids {
