@@ -3,7 +3,7 @@
 use std::{path::Path, sync::Arc, time::Duration};
 
 use bytes::Bytes;
-use futures_util::TryStreamExt as _;
+use futures_util::{FutureExt as _, TryFutureExt as _, TryStreamExt as _};
 use jiff::{SignedDuration, Unit};
 use object_store::{ObjectStore, ObjectStoreExt as _, path::Path as ObjectPath};
 use tcgs::{
@@ -15,7 +15,7 @@ use tcgs::{
         garbage::{GarbageError, GarbagePolicy, collect},
         publications::{Publications as _, REMOVER_IS_DEAD, Removable},
         restore,
-        uploads::WRITER_LIFE,
+        uploads::{UploadParts as _, WRITER_LIFE},
     },
 };
 use tempfile::TempDir;
@@ -134,6 +134,38 @@ async fn a_blob_in_a_bucket_reads_back_whole_in_parts_and_as_a_file() {
     }
     let put = fixture.blobs.put(Bytes::from(large.clone())).await.expect("published");
     assert_eq!(put.digest, Digest::of(&large));
+}
+
+#[tokio::test]
+async fn content_that_is_large_is_never_put_in_one_request() {
+    let Some(fixture) = Fixture::new().await else { return };
+    let objects = FaultStore::new(fixture.objects.clone());
+    let store = Arc::new(fixture.database.open(fixture.clock.clone(), QueuePolicy::default()).await);
+    let blobs = Blobs::open_bucket(fixture.folder.path(), Arc::new(objects.clone()), store).await;
+    let blobs = blobs.expect("a bucket");
+    let files = blobs.shared_files().expect("it is a bucket");
+    let path = fixture.folder.path().join("file");
+    for (content, in_parts) in [(vec![7; (8 << 20) + 2], true), (vec![7; 5], false)] {
+        std::fs::write(&path, &content).expect("written");
+        let staged = fixture.stage(&content[1..]).await;
+        let (put, publish, save) =
+            (blobs.put(content.into()), blobs.publish(&staged), files.save("folder/file", &path));
+        let writes = [put.map_ok(drop).boxed(), publish.map_ok(drop).boxed(), save.boxed()];
+        for (number, write) in writes.into_iter().enumerate() {
+            let held = objects.hold_next_put();
+            let at_once = tokio::select! {
+                written = write => {
+                    written.expect("written");
+                    false
+                }
+                asked = held.asked => {
+                    asked.expect("held");
+                    true
+                }
+            };
+            assert_eq!(at_once, !in_parts, "write {number}");
+        }
+    }
 }
 
 /// How much of a damaged blob a reader of the whole gets, and why it ends.
@@ -414,6 +446,68 @@ async fn what_a_failed_write_left_is_no_part_of_an_upload() {
     }
     let staged = reopen().await.finish(11).await.expect("no byte more, and none less");
     assert_eq!(staged.blob().digest, Digest::of(b"first later"));
+}
+
+#[tokio::test]
+async fn a_save_without_new_bytes_adds_no_part() {
+    let Some(fixture) = Fixture::new().await else { return };
+    let id = begin_upload(&fixture, 1, 11).await;
+    let later = fixture.clock.now() + SignedDuration::from_hours(1);
+    let mut file = fixture.blobs.open_upload(id).await.expect("asked").expect("free");
+    for (piece, end) in [(b"".as_slice(), 0), (b"first", 5), (b"", 5), (b"", 5), (b" later", 11), (b"", 11)] {
+        file.write(piece).await.expect("written");
+        assert!(file.save(&*fixture.store, end, later).await.expect("saved"));
+    }
+    let parts = fixture.objects.list(Some(&ObjectPath::from("uploads")));
+    assert_eq!(parts.try_collect::<Vec<_>>().await.expect("a list").len(), 2);
+    let staged = file.finish(11).await.expect("whole");
+    assert_eq!(staged.blob().digest, Digest::of(b"first later"));
+}
+
+#[tokio::test]
+async fn an_upload_that_has_ended_takes_no_more_bytes() {
+    let Some(fixture) = Fixture::new().await else { return };
+    let id = begin_upload(&fixture, 1, 8).await;
+    let mut file = fixture.blobs.open_upload(id).await.expect("asked").expect("free");
+    file.write(b"late").await.expect("written");
+    fixture.clock.advance(SignedDuration::from_hours(1));
+    assert_eq!(fixture.store.expire_uploads(fixture.clock.now()).await.expect("swept"), [id]);
+    let later = fixture.clock.now() + SignedDuration::from_hours(1);
+    assert!(!file.save(&*fixture.store, 4, later).await.expect("asked"));
+    assert_eq!(fixture.store.upload_parts(id).await.expect("read"), []);
+}
+
+#[tokio::test]
+async fn a_lock_of_an_upload_counts_until_it_is_released() {
+    let Some(fixture) = Fixture::new().await else { return };
+    let id = begin_upload(&fixture, 1, 8).await;
+    let later = fixture.clock.now() + SignedDuration::from_hours(1);
+    let lock = async || fixture.store.lock_upload(id).await.expect("asked");
+    let renew = async |writer| fixture.store.renew_upload_lock(writer).await.expect("asked");
+    let add = async |writer, start, end| {
+        fixture.store.add_upload_part(writer, start, "a part", end, later).await.expect("asked")
+    };
+    let first = lock().await.expect("free");
+    fixture.clock.advance(WRITER_LIFE);
+    assert_eq!(lock().await, None, "it lasts as long as that");
+    assert!(renew(first).await);
+    fixture.clock.advance(WRITER_LIFE);
+    assert_eq!(lock().await, None);
+    assert!(add(first, 0, 4).await);
+    fixture.clock.advance(WRITER_LIFE);
+    assert_eq!(lock().await, None, "a part renews it too");
+
+    fixture.store.unlock_upload(first).await.expect("released");
+    assert!(!renew(first).await && !add(first, 4, 8).await);
+    let second = lock().await.expect("free");
+    assert!(second.number > first.number);
+    fixture.store.unlock_upload(first).await.expect("nothing of its own");
+    assert!(!renew(first).await && !add(first, 4, 8).await, "that is the other's lock");
+    assert!(renew(second).await && add(second, 4, 8).await);
+    assert_eq!(
+        fixture.store.upload_parts(id).await.expect("read"),
+        [(0, "a part".to_owned()), (4, "a part".to_owned())]
+    );
 }
 
 #[tokio::test]
