@@ -179,6 +179,7 @@ mod tests {
     use sqlx::{ConnectOptions as _, SqliteConnection, sqlite::SqliteConnectOptions};
 
     use super::*;
+    use crate::store::BlobError;
 
     async fn run(on: &mut SqliteConnection, statement: &'static str) -> Result<(), StoreError> {
         sqlx::raw_sql(statement).execute(on).await?;
@@ -206,6 +207,8 @@ mod tests {
                 error.is_transient() && !error.is_disk_full() && !error.has_written_nothing(),
                 "{error:?}"
             );
+            let of_blobs = BlobError::from(error);
+            assert!(of_blobs.is_transient() && !of_blobs.is_disk_full(), "{of_blobs:?}");
         }
 
         // As small as it can be.
@@ -218,6 +221,8 @@ mod tests {
                 error.is_disk_full() && error.has_written_nothing() && !error.is_transient(),
                 "{error:?}"
             );
+            let of_blobs = BlobError::from(error);
+            assert!(of_blobs.is_disk_full() && !of_blobs.is_transient(), "{of_blobs:?}");
         }
 
         let wrong = run(&mut other, "INSERT INTO letters VALUES (1)").await.expect_err("no such table");
@@ -228,5 +233,6 @@ mod tests {
         }
         let refused = StoreError::TooManyJobs { active: 1 };
         assert!(refused.has_written_nothing() && !refused.is_transient());
+        assert!(!BlobError::OtherDatabase.is_transient());
     }
 }

@@ -59,3 +59,15 @@ pub(super) async fn write_through(file: &mut tokio::fs::File, piece: &[u8]) -> i
     file.write_all(piece).await?;
     file.flush().await
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn of_the_errors_only_absence_is_an_answer() {
+        let found = |kind: io::ErrorKind| if_there::<()>(Err(kind.into())).map_err(|error| error.kind());
+        assert_eq!(found(io::ErrorKind::NotFound), Ok(None));
+        assert_eq!(found(io::ErrorKind::PermissionDenied), Err(io::ErrorKind::PermissionDenied));
+    }
+}

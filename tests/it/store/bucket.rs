@@ -307,6 +307,9 @@ async fn a_publisher_waits_for_a_remover_and_takes_over_from_a_dead_one() {
     let row = fixture.store.begin_removal(blob.digest, any_age).await.expect("asked");
     assert_eq!(row, None, "published just now");
     assert_eq!(fixture.blobs.read(blob.digest).await.expect("there"), content());
+    fixture.clock.advance(SignedDuration::from_secs(1));
+    let row = fixture.store.begin_removal(blob.digest, any_age).await.expect("asked");
+    assert!(row.is_some(), "the one that was too late has removed nothing");
 }
 
 #[tokio::test]
