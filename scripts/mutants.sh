@@ -36,7 +36,7 @@ store)
     files=(migrations tests/schemas benches/store/simulation)
     # PostgreSQL.
     without=(store/postgres store/postgres_server)
-    slow='simulated_clock|both_schemas_have_the_same'
+    slow='simulated_clock|both_schemas_have_the_same|bucket_faults'
     first='^store::'
     ;;
 http)
@@ -133,6 +133,12 @@ opt-level = 2
 
 [workspace]
 TOML
+
+# Tests of buckets are skipped without a server.
+if [[ " ${support[*]} " == *" bucket "* && -z ${TCGS_S3_SERVER:-} ]]; then
+    TCGS_S3_SERVER=$(scripts/s3_server.sh | tail -n 1)
+    export TCGS_S3_SERVER
+fi
 
 # nextest stops at the first test that fails; those that fail most often run first.
 tests="test(/^($module|it)::/) - test(/$never/)"
