@@ -35,6 +35,7 @@ const LAYERS: &[(&str, &[&str])] = &[
 /// External crates that only the named modules may use.
 const EXTERNAL: &[(&str, &[&str])] = &[
     ("axum", &["http"]),
+    ("http_body", &["store"]),
     ("hyper", &["http"]),
     ("hyper_util", &["http"]),
     ("tower", &["http"]),

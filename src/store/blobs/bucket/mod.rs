@@ -4,6 +4,7 @@
 //! bytes. One database uses a bucket, or a prefix of one: an object there names it.
 
 mod marker;
+mod patience;
 mod shared_files;
 mod upload;
 mod url;

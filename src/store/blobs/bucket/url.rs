@@ -11,12 +11,13 @@ use object_store::{
 use rustls::crypto::ring;
 use thiserror::Error;
 
-use super::BlobError;
+use super::{
+    BlobError,
+    patience::{Patience, PatientConnector},
+};
 
 /// How long a connection may take.
 const CONNECT: Duration = Duration::from_secs(5);
-/// How long an answer may say nothing.
-const SILENCE: Duration = Duration::from_secs(20);
 /// How long a request is repeated.
 const RETRY: Duration = Duration::from_secs(20);
 
@@ -90,16 +91,16 @@ impl BucketUrl {
         }
         // Someone else's choice, if there is one, is as good.
         let _ = ring::default_provider().install_default();
-        // A whole answer may take long, so only its pauses are limited.
+        // A whole answer may take long, so only its pauses are limited, by the connector.
         let client = ClientOptions::new()
             .with_connect_timeout(CONNECT)
             .with_timeout_disabled()
-            .with_read_timeout(SILENCE)
             .with_allow_http(allow_http);
         let retry = RetryConfig { backoff: BackoffConfig::default(), max_retries: 6, retry_timeout: RETRY };
         let bucket = builder
             .with_bucket_name(&self.bucket)
             .with_client_options(client)
+            .with_http_connector(PatientConnector(Patience::default()))
             .with_retry(retry)
             .build()
             .map_err(BlobError::Bucket)?;
