@@ -101,7 +101,10 @@ async fn run_in_span(
     let shared = deps.blobs.shared_files();
     if let (Some(root), Some(files)) = (root, &shared) {
         let fetched = checkpoint_copies::fetch(files, root, &lease, resume_from);
-        while_renewing(deps, &lease, &mut renewed, fetched).await;
+        if let Err(error) = while_renewing(deps, &lease, &mut renewed, fetched).await {
+            finish(deps, &lease, storage::outcome(&error), Instant::now(), shutdown).await;
+            return Ok(());
+        }
     }
     let cancel = CancelFlag::default();
     let (progress, watched) = watch::channel((Phase::Ingest, Progress::default()));

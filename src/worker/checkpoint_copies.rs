@@ -117,8 +117,16 @@ fn files_below(folder: &Path) -> Vec<(PathBuf, (SystemTime, u64))> {
 }
 
 /// Brings what an attempt resumes from below `root`, unless it is there already: the newest checkpoint of its job, or else of the job that
-/// it retries.
-pub(super) async fn fetch(files: &SharedFiles, root: &Path, lease: &Lease, resume_from: Option<JobId>) {
+/// it retries. Without a checkpoint that can be read the job begins again.
+///
+/// # Errors
+/// If the bucket is away or the disk is full: a later attempt may find the checkpoint.
+pub(super) async fn fetch(
+    files: &SharedFiles,
+    root: &Path,
+    lease: &Lease,
+    resume_from: Option<JobId>,
+) -> Result<(), BlobError> {
     let found = async {
         if !fetch_job(files, root, lease.job, lease.attempt).await?
             && let Some(retried) = resume_from
@@ -127,12 +135,17 @@ pub(super) async fn fetch(files: &SharedFiles, root: &Path, lease: &Lease, resum
         }
         Ok::<(), BlobError>(())
     };
-    if let Err(error) = found.await {
-        tracing::warn!(
-            error = &error as &dyn Error,
-            "job {} begins again, since its checkpoint cannot be read: {error}",
-            lease.job
-        );
+    match found.await {
+        Err(error) if error.is_transient() || error.is_disk_full() => Err(error),
+        Err(error) => {
+            tracing::warn!(
+                error = &error as &dyn Error,
+                "job {} begins again, since its checkpoint cannot be read: {error}",
+                lease.job
+            );
+            Ok(())
+        }
+        Ok(()) => Ok(()),
     }
 }
 

@@ -34,6 +34,8 @@ pub enum Side {
 struct Plan {
     /// Requests until the one that fails.
     left: AtomicU32,
+    /// How those begin that count, as `list checkpoints/`.
+    of: Mutex<String>,
     fault: Mutex<Option<(Side, io::ErrorKind)>>,
     failed: AtomicU32,
     /// Where the next put says that it was asked for, and what it waits for.
@@ -51,9 +53,12 @@ pub struct HeldPut {
 
 impl Plan {
     /// How the next request fails, if it does.
-    fn next(&self) -> Option<(Side, Error)> {
+    fn next(&self, request: &str) -> Option<(Side, Error)> {
         let fault = *self.fault.lock().expect("not poisoned");
         let (side, kind) = fault?;
+        if !request.starts_with(&*self.of.lock().expect("not poisoned")) {
+            return None;
+        }
         if self.left.fetch_sub(1, Ordering::SeqCst) != 1 {
             return None;
         }
@@ -61,8 +66,8 @@ impl Plan {
         Some((side, Error::Generic { store: "S3", source: Box::new(io::Error::from(kind)) }))
     }
 
-    async fn apply<T>(&self, request: impl Future<Output = Result<T>>) -> Result<T> {
-        match self.next() {
+    async fn apply<T>(&self, what: &str, request: impl Future<Output = Result<T>>) -> Result<T> {
+        match self.next(what) {
             None => request.await,
             Some((Side::Request, error)) => Err(error),
             Some((Side::Answer, error)) => request.await.and(Err(error)),
@@ -84,6 +89,12 @@ impl FaultStore {
 
     /// Lets the `request`-th request from now on fail.
     pub fn plan(&self, side: Side, kind: io::ErrorKind, request: u32) {
+        self.plan_of("", side, kind, request);
+    }
+
+    /// Lets the `request`-th request from now on fail that begins like this: `list checkpoints/`, or `delete` without a name.
+    pub fn plan_of(&self, of: &str, side: Side, kind: io::ErrorKind, request: u32) {
+        of.clone_into(&mut self.plan.of.lock().expect("not poisoned"));
         self.plan.left.store(request, Ordering::SeqCst);
         self.plan.failed.store(0, Ordering::SeqCst);
         *self.plan.fault.lock().expect("not poisoned") = Some((side, kind));
@@ -103,6 +114,11 @@ impl FaultStore {
     }
 }
 
+/// What a list asks for.
+fn listing(prefix: Option<&Path>) -> String {
+    format!("list {}", prefix.map(Path::as_ref).unwrap_or_default())
+}
+
 impl fmt::Display for FaultStore {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         self.inner.fmt(f)
@@ -117,7 +133,7 @@ impl ObjectStore for FaultStore {
             ask.send(()).expect("the test waits for it");
             released.await.expect("the test releases it");
         }
-        self.plan.apply(self.inner.put_opts(location, payload, opts)).await
+        self.plan.apply(&format!("put {location}"), self.inner.put_opts(location, payload, opts)).await
     }
 
     async fn put_multipart_opts(
@@ -125,21 +141,24 @@ impl ObjectStore for FaultStore {
         location: &Path,
         opts: PutMultipartOptions,
     ) -> Result<Box<dyn MultipartUpload>> {
-        let upload = self.plan.apply(self.inner.put_multipart_opts(location, opts)).await?;
+        let upload = self
+            .plan
+            .apply(&format!("put {location}"), self.inner.put_multipart_opts(location, opts))
+            .await?;
         Ok(Box::new(FaultUpload { inner: upload, plan: Arc::clone(&self.plan) }))
     }
 
     async fn get_opts(&self, location: &Path, options: GetOptions) -> Result<GetResult> {
-        self.plan.apply(self.inner.get_opts(location, options)).await
+        self.plan.apply(&format!("get {location}"), self.inner.get_opts(location, options)).await
     }
 
     async fn get_ranges(&self, location: &Path, ranges: &[Range<u64>]) -> Result<Vec<Bytes>> {
-        self.plan.apply(self.inner.get_ranges(location, ranges)).await
+        self.plan.apply(&format!("get {location}"), self.inner.get_ranges(location, ranges)).await
     }
 
     fn delete_stream(&self, locations: BoxStream<'static, Result<Path>>) -> BoxStream<'static, Result<Path>> {
         let deleted = |inner: &Arc<dyn ObjectStore>| inner.delete_stream(locations);
-        match self.plan.next() {
+        match self.plan.next("delete") {
             None => deleted(&self.inner),
             Some((Side::Request, error)) => stream::once(future::ready(Err(error))).boxed(),
             Some((Side::Answer, error)) => {
@@ -150,18 +169,18 @@ impl ObjectStore for FaultStore {
     }
 
     fn list(&self, prefix: Option<&Path>) -> BoxStream<'static, Result<ObjectMeta>> {
-        match self.plan.next() {
+        match self.plan.next(&listing(prefix)) {
             None => self.inner.list(prefix),
             Some((_, error)) => stream::once(future::ready(Err(error))).boxed(),
         }
     }
 
     async fn list_with_delimiter(&self, prefix: Option<&Path>) -> Result<ListResult> {
-        self.plan.apply(self.inner.list_with_delimiter(prefix)).await
+        self.plan.apply(&listing(prefix), self.inner.list_with_delimiter(prefix)).await
     }
 
     async fn copy_opts(&self, from: &Path, to: &Path, options: CopyOptions) -> Result<()> {
-        self.plan.apply(self.inner.copy_opts(from, to, options)).await
+        self.plan.apply(&format!("copy {from}"), self.inner.copy_opts(from, to, options)).await
     }
 }
 
@@ -176,14 +195,14 @@ struct FaultUpload {
 impl MultipartUpload for FaultUpload {
     fn put_part(&mut self, data: PutPayload) -> UploadPart {
         let (part, plan) = (self.inner.put_part(data), Arc::clone(&self.plan));
-        async move { plan.apply(part).await }.boxed()
+        async move { plan.apply("part", part).await }.boxed()
     }
 
     async fn complete(&mut self) -> Result<PutResult> {
-        self.plan.apply(self.inner.complete()).await
+        self.plan.apply("complete", self.inner.complete()).await
     }
 
     async fn abort(&mut self) -> Result<()> {
-        self.plan.apply(self.inner.abort()).await
+        self.plan.apply("abort", self.inner.abort()).await
     }
 }

@@ -1,0 +1,105 @@
+//! Checkpoints that a job resumes from on another machine.
+
+use std::{
+    fs,
+    io::ErrorKind,
+    path::Path,
+    sync::{Arc, Mutex},
+    time::Duration,
+};
+
+use bytes::Bytes;
+use object_store::memory::InMemory;
+use tcgs::{
+    domain::{CancelFlag, JobId, Phase, Problem, ProblemType, Progress, SystemClock, TrainOptions},
+    pipeline::{Checkpoints, JobError, JobOutput, Resume, RunJob},
+    store::{Blobs, NewJob, QueuePolicy, SqlStore, Store as _},
+    worker::{self, WorkerConfig},
+};
+use tokio_util::sync::CancellationToken;
+use uuid::Uuid;
+
+use crate::support::{
+    database::Database,
+    fault_store::{FaultStore, Side},
+    server::quick_worker,
+};
+
+/// Notes whether it finds a checkpoint, leaves one, and ends with its worker.
+struct OneRun {
+    found: Arc<Mutex<Vec<bool>>>,
+    shutdown: CancellationToken,
+}
+
+impl RunJob for OneRun {
+    fn run(
+        &self,
+        _dataset: &Path,
+        _options: &TrainOptions,
+        checkpoints: &Checkpoints,
+        _report: &mut dyn FnMut(Phase, &Progress),
+        _cancel: &CancelFlag,
+    ) -> Result<JobOutput, JobError> {
+        let Resume::IfPossible(resume) = &checkpoints.resume else { panic!("{checkpoints:?}") };
+        self.found.lock().expect("not poisoned").push(resume.join("step").exists());
+        let keep = checkpoints.keep.as_ref().expect("they are kept");
+        fs::create_dir_all(keep).expect("made");
+        fs::write(keep.join("step"), "400").expect("written");
+        self.shutdown.cancel();
+        Err(JobError::Hold(Problem::new(ProblemType::StorageFull, "as the test wants it")))
+    }
+}
+
+struct Fixture {
+    store: Arc<SqlStore>,
+    blobs: Blobs,
+    faults: FaultStore,
+    found: Arc<Mutex<Vec<bool>>>,
+    folder: tempfile::TempDir,
+    _database: Database,
+}
+
+impl Fixture {
+    async fn new() -> Self {
+        let database = Database::sqlite();
+        let policy = QueuePolicy { hold_delay: Duration::ZERO, ..QueuePolicy::default() };
+        let store = Arc::new(database.open(Arc::new(SystemClock), policy).await);
+        let faults = FaultStore::new(Arc::new(InMemory::new()));
+        let folder = tempfile::tempdir().expect("a folder");
+        let blobs = Blobs::open_bucket(folder.path(), Arc::new(faults.clone()), store.clone());
+        let blobs = blobs.await.expect("a bucket");
+        Self { store, blobs, faults, found: Arc::default(), folder, _database: database }
+    }
+
+    /// A worker on a machine of its own, until it has run a job.
+    async fn machine(&self, name: &str) {
+        let shutdown = CancellationToken::new();
+        let runner = OneRun { found: Arc::clone(&self.found), shutdown: shutdown.clone() };
+        let checkpoints = Some(self.folder.path().join(name));
+        let config = WorkerConfig { checkpoints, ..quick_worker(name) };
+        let worker =
+            worker::serve(self.store.clone(), self.blobs.clone(), Arc::new(runner), config, shutdown);
+        worker.await.expect("an orderly end");
+    }
+}
+
+#[tokio::test]
+async fn a_job_whose_checkpoint_cannot_be_fetched_now_waits_instead_of_beginning_again() {
+    let fixture = Fixture::new().await;
+    let dataset = fixture.blobs.put(Bytes::from_static(b"dataset")).await.expect("published");
+    let job = JobId(Uuid::from_u128(1));
+    fixture.store.create_job(NewJob::new(job, TrainOptions::default(), dataset)).await.expect("queued");
+    fixture.machine("first").await;
+    let mut held = 1;
+    for request in ["list", "get"] {
+        for kind in [ErrorKind::Other, ErrorKind::StorageFull] {
+            fixture.faults.plan_of(&format!("{request} checkpoints/{job}"), Side::Request, kind, 1);
+            fixture.machine(&format!("{request} {kind:?}")).await;
+            assert!(fixture.faults.relieve(), "{request}: {kind:?}");
+            held += 2;
+            let attempts = fixture.store.attempts(job).await.expect("read").len();
+            assert_eq!(attempts, held, "{request}: {kind:?}: one attempt is held, and the next one runs");
+        }
+    }
+    assert_eq!(*fixture.found.lock().expect("not poisoned"), [false, true, true, true, true]);
+}
