@@ -146,8 +146,8 @@ pub trait Store:
     /// Fails queued jobs whose deadline has passed, and counts them. Running ones learn it from [`Store::heartbeat`].
     fn fail_expired(&self) -> StoreFuture<'_, u64>;
 
-    /// Those of the jobs whose checkpoints may still be used: by themselves, or by a retry for [`QueuePolicy::checkpoint_ttl`] after they
-    /// failed or were cancelled.
+    /// Those of the jobs whose checkpoints may still be used: by themselves, by a retry that is queued or running, or by one that is made
+    /// within [`QueuePolicy::checkpoint_ttl`] after they failed or were cancelled.
     fn resumable<'a>(&'a self, jobs: &'a [JobId]) -> StoreFuture<'a, Vec<JobId>>;
 
     /// Grants `worker` a job that is due: of projects that run fewer jobs than they may, those with the highest priority; of these, one of

@@ -351,7 +351,9 @@ impl Store for SqlStore {
             let now = self.now(&self.readers).await?;
             let mut resumable = query("SELECT id FROM jobs WHERE id IN ");
             resumable.push(MEMBERS).push(
-                " AND (state IN ('queued', 'running') OR (state IN ('failed', 'cancelled') AND finished_at > ?)) ORDER BY id",
+                " AND (state IN ('queued', 'running') OR (state IN ('failed', 'cancelled') AND (finished_at > ? OR EXISTS
+                    (SELECT 1 FROM jobs AS retry WHERE retry.retry_of = jobs.id AND retry.from_checkpoint
+                        AND retry.state IN ('queued', 'running'))))) ORDER BY id",
             );
             resumable
                 .bind_all(values![text(&jobs)?, micros(rows::before(now, self.policy.checkpoint_ttl))])

@@ -1362,6 +1362,25 @@ async fn checkpoints_are_needed_until_success_and_for_a_while_after_failure() {
     assert_eq!(queue.store.resumable(&asked).await.expect("read"), [waiting]);
 }
 
+#[tokio::test]
+async fn a_checkpoint_is_needed_for_as_long_as_a_retry_from_it_waits() {
+    let Some(queue) = Queue::new().await else { return };
+    let [resumed, repeated] = [queue.add(1).await, queue.add(2).await];
+    for _ in 0..2 {
+        queue.store.finish(&queue.lease().await, Outcome::Failed(problem())).await.expect("ended");
+    }
+    for (id, retry) in [(resumed, retry(3, true)), (repeated, retry(4, false))] {
+        queue.store.retry_job(id, retry).await.expect("answered").expect("known");
+    }
+    queue.pass(48 * 3600);
+    let needed = async || queue.store.resumable(&[resumed, repeated]).await.expect("read");
+    assert_eq!(needed().await, [resumed]);
+    let lease = queue.lease().await;
+    assert_eq!(needed().await, [resumed], "its worker may die before it takes the checkpoint over");
+    queue.store.finish(&lease, succeeded()).await.expect("ended");
+    assert_eq!(needed().await, []);
+}
+
 #[tokio::test(flavor = "multi_thread", worker_threads = 4)]
 async fn fifty_requests_with_one_idempotency_key_create_one_job() {
     let Some(queue) = Queue::new().await else { return };
