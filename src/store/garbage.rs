@@ -5,7 +5,7 @@
 //! finds no reference deletes its row; then its file is removed, unless it was published again meanwhile. A new reference is added only
 //! after a publication or from a row that already has one, so no referenced blob is removed.
 
-use std::{collections::BTreeSet, error::Error, sync::Arc, time::Duration};
+use std::{collections::BTreeSet, error::Error, fmt, sync::Arc, time::Duration};
 
 use jiff::{SignedDuration, Timestamp};
 use thiserror::Error;
@@ -17,6 +17,9 @@ use crate::domain::{Clock, UploadId, with_defaults};
 
 /// Blobs per transaction, so that other writers never wait for long.
 const BATCH: usize = 100;
+
+/// Removals in a row that fail before a collection ends.
+const MAX_FAILURES: u32 = 10;
 
 with_defaults! {
     /// When garbage is collected, and how old it must be.
@@ -60,7 +63,7 @@ pub enum GarbageError {
 /// Collects once, at the time `now`.
 ///
 /// # Errors
-/// The first error; the next collection removes the rest.
+/// The first error, after everything else was removed; the next collection removes the rest.
 pub async fn collect(
     store: &dyn Store,
     blobs: &Blobs,
@@ -69,20 +72,61 @@ pub async fn collect(
 ) -> Result<Collected, GarbageError> {
     // A database that has lost its bucket to another must not remove the other's objects.
     blobs.check_owner().await?;
-    let mut collected =
-        Collected { uploads: collect_uploads(store, blobs, policy, now).await?, ..Collected::default() };
-    blobs.clear_staging().await?;
-    blobs.finish_removals().await?;
+    let mut failures = Failures::default();
+    let uploads = collect_uploads(store, blobs, policy, now, &mut failures).await?;
+    let mut collected = Collected { uploads, ..Collected::default() };
+    failures.note("staging folders", blobs.clear_staging().await)?;
+    failures.note("blobs that another process began to remove", blobs.finish_removals().await)?;
     let age = policy.blob_grace;
     for batch in blobs.older_than(age, now).await?.chunks(BATCH) {
         for digest in store.forget_blobs(batch).await? {
-            if let Some(bytes) = blobs.remove_older(digest, age, now).await? {
+            let removed = blobs.remove_older(digest, age, now).await;
+            if let Some(Some(bytes)) = failures.note(format!("blob {digest}"), removed)? {
                 collected.blobs += 1;
                 collected.bytes += bytes;
             }
         }
     }
+    failures.into_result()?;
     Ok(collected)
+}
+
+/// What could not be removed. One such thing leaves the others to be removed.
+#[derive(Default)]
+struct Failures {
+    first: Option<BlobError>,
+    in_a_row: u32,
+}
+
+impl Failures {
+    /// Logs an error, or returns the value.
+    ///
+    /// # Errors
+    /// This error, if it is one of many in a row: then nothing can be removed.
+    fn note<T>(
+        &mut self,
+        what: impl fmt::Display,
+        removed: Result<T, BlobError>,
+    ) -> Result<Option<T>, BlobError> {
+        let error = match removed {
+            Ok(value) => {
+                self.in_a_row = 0;
+                return Ok(Some(value));
+            }
+            Err(error) => error,
+        };
+        self.in_a_row += 1;
+        if self.in_a_row >= MAX_FAILURES {
+            return Err(error);
+        }
+        tracing::warn!(error = &error as &dyn Error, "{what} cannot be removed: {error}");
+        self.first.get_or_insert(error);
+        Ok(None)
+    }
+
+    fn into_result(self) -> Result<(), BlobError> {
+        self.first.map_or(Ok(()), Err)
+    }
 }
 
 /// Withdraws a publication that was not used: removes the blob unless something refers to it or it was published again.
@@ -102,6 +146,7 @@ async fn collect_uploads(
     blobs: &Blobs,
     policy: &GarbagePolicy,
     now: Timestamp,
+    failures: &mut Failures,
 ) -> Result<usize, GarbageError> {
     let expired = store.expire_uploads(earlier(now, policy.upload_ttl)).await?;
     // The files first: an upload is in the table before it has one.
@@ -110,7 +155,8 @@ async fn collect_uploads(
     for upload in files {
         if !open.contains(&upload) {
             // A file that is locked is removed next time.
-            blobs.remove_upload(upload).await?;
+            let removed = blobs.remove_upload(upload).await;
+            failures.note(format!("upload {upload}"), removed)?;
         }
     }
     Ok(expired.len())

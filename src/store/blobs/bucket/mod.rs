@@ -278,11 +278,16 @@ impl Bucket {
     }
 
     /// Finishes what removers have begun that died.
+    ///
+    /// # Errors
+    /// The first, after all others are finished.
     pub(super) async fn finish_removals(&self) -> Result<(), BlobError> {
+        let mut finished = Ok(());
         for removal in self.index.abandoned_removals().await? {
-            self.finish_removal(removal).await?;
+            // One that fails leaves the others to be finished.
+            finished = finished.and(self.finish_removal(removal).await);
         }
-        Ok(())
+        finished
     }
 
     async fn finish_removal(&self, removal: Removal) -> Result<(), BlobError> {
