@@ -46,6 +46,7 @@ struct CreatedScene {
 
 /// What a scene has besides its archive.
 struct SceneFields {
+    project: ProjectId,
     name: Option<String>,
     upload: Option<UploadId>,
     intent: Option<IdempotentRequest>,
@@ -107,12 +108,13 @@ async fn from_archive(
     parameters.finish()?;
     let announced = content_digest::announced(headers)?;
     let guard = request.begin()?;
-    let _slot = state.upload_slot(caller.project)?;
-    let received = receive(state, caller.project, headers, body).await?;
+    let project = caller.project;
+    let _slot = state.upload_slot(project)?;
+    let received = receive(state, project, headers, body).await?;
     content_digest::check(announced, received.blob().digest)?;
     let intent = request.intent(guard.as_ref(), received.blob().digest);
-    let fields = SceneFields { name, upload: None, intent: intent.clone() };
-    idempotent(state, intent, keep(request, received, fields)).await
+    let fields = SceneFields { project, name, upload: None, intent: intent.clone() };
+    idempotent(state, intent, keep(state, received, fields)).await
 }
 
 async fn from_upload(
@@ -146,8 +148,10 @@ async fn from_upload(
             checked_name(name.to_owned()).ok()
         };
         let name = name.or_else(from_metadata);
-        let fields = SceneFields { name, upload: Some(record.id), intent: intent.clone() };
-        let created = keep(request, received, fields).await?;
+        // An administrator's request may name another project's upload.
+        let project = record.project;
+        let fields = SceneFields { project, name, upload: Some(record.id), intent: intent.clone() };
+        let created = keep(state, received, fields).await?;
         if created.is_ok()
             && let Err(error) = state.blobs().remove_upload(record.id).await
         {
@@ -173,20 +177,19 @@ async fn assemble(
     Ok((ReceivedDataset::of_upload(file.finish(upload.length).await?), Some(slot)))
 }
 
-/// Checks and publishes the archive and creates its scene, unless the project has one of it.
+/// Checks and publishes the archive and creates its scene, unless its project has one of it.
 async fn keep(
-    request: CreateRequest<'_>,
+    state: &AppState,
     received: ReceivedDataset,
     fields: SceneFields,
 ) -> ApiResult<Result<CreatedScene, StoreError>> {
-    let CreateRequest { state, caller, .. } = request;
-    let (project, dataset) = (caller.project, received.blob());
+    let SceneFields { project, name, upload, intent } = fields;
+    let dataset = received.blob();
     let known = state.store().dataset_by_archive(project, dataset.digest).await?;
     let (received, summary) = match known {
         Some(known) => (received, known.summary),
         None => check(state, received).await?,
     };
-    let SceneFields { name, upload, intent } = fields;
     let new = NewDataset { id: DatasetId(state.new_uuid()), project, name, dataset, summary, upload, intent };
     let store = Arc::clone(&state.services.store);
     let created = received.keep(state, async move { store.create_dataset(new).await }).await?;

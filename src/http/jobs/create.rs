@@ -93,7 +93,8 @@ async fn from_scene(
         let scene = state.store().dataset(id).await?.filter(|scene| caller.may_see(scene.project));
         let scene = scene.ok_or_else(|| ProblemResponse::no_scene(id))?;
         require_free_space(state, 0)?;
-        let job = new_job(request, wanted, scene.dataset).await?;
+        // An administrator's request may name another project's scene.
+        let job = NewJob { project: scene.project, ..new_job(request, wanted, scene.dataset).await? };
         Ok(state.store().create_job(NewJob { dataset_id: Some(id), intent: intent.clone(), ..job }).await)
     };
     idempotent(state, intent.clone(), create).await

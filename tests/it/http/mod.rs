@@ -71,6 +71,7 @@ scenarios! {
         projects_are_made_changed_and_listed_by_administrators,
         keys_expire_and_are_changed,
         usage_is_shown_by_project,
+        what_an_administrator_makes_of_a_projects_things_is_the_projects,
         jobs_have_names_labels_attempts_and_places_in_the_queue,
     }
     connections {

@@ -400,3 +400,30 @@ pub(super) async fn jobs_have_names_labels_attempts_and_places_in_the_queue(cove
     let other = format!("/v1/jobs?project_id={}", ProjectId::DEFAULT);
     with(&server, &key, "GET", &other, None).await.expect_problem(404, "project-not-found");
 }
+
+pub(super) async fn what_an_administrator_makes_of_a_projects_things_is_the_projects(coverage: Coverage) {
+    let server = Server::start_with(&coverage, idle()).await;
+    let owner = server.key(&WRITES).await;
+    let admin = server.key(&[Scope::Admin]).await;
+    let dataset = b"succeed for another";
+    let begun = server.send("POST", "/v1/uploads", |request| {
+        let request = request.bearer_auth(&owner.key).header("tus-resumable", "1.0.0");
+        request.header("upload-length", dataset.len())
+    });
+    let upload = begun.await.expect(201).header("location").to_owned();
+    let part = server.send("PATCH", &upload, |request| {
+        let request = request.bearer_auth(&owner.key).header("tus-resumable", "1.0.0");
+        let request = request.header("content-type", "application/offset+octet-stream");
+        request.header("upload-offset", 0).body(dataset.to_vec())
+    });
+    part.await.expect(204);
+    let id = upload.rsplit('/').next().expect("an id");
+    let scene = with(&server, &admin, "POST", "/v1/scenes", Some(json!({ "upload_id": id }))).await;
+    let scene = scene.expect(201).header("location").to_owned();
+    let id = scene.rsplit('/').next().expect("an id");
+    let job = with(&server, &admin, "POST", "/v1/jobs", Some(json!({ "scene_id": id }))).await;
+    let job = job.expect(201).header("location").to_owned();
+    for made in [scene, job] {
+        with(&server, &owner, "GET", &made, None).await.expect(200);
+    }
+}
