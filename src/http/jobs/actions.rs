@@ -112,7 +112,7 @@ pub(crate) async fn delete(
         IfMatch::Differs => return Err(changed(id)),
     };
     match state.store().delete_job(id, version).await?.ok_or_else(|| ProblemResponse::no_job(id))? {
-        Deletion::Deleted => {}
+        Deletion::Deleted => state.blobs().request_collection(),
         Deletion::VersionMismatch => return Err(changed(id)),
         Deletion::Active(now) => {
             let detail = format!("job {id} is {}; cancel it first and wait until it has ended", now.name());

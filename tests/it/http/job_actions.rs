@@ -11,6 +11,7 @@ use uuid::Uuid;
 
 use crate::support::{
     contract::Coverage,
+    eventually::within,
     faults::Failing,
     server::{Server, Setup},
 };
@@ -231,6 +232,8 @@ pub(super) async fn a_job_that_has_ended_is_deleted_with_its_files(coverage: Cov
     };
     delete(job.clone(), Some("\"0\"".into())).await.expect_problem(412, "precondition-failed");
     delete(job.clone(), Some(format!("\"0\", {tag}"))).await.expect(204);
+    let requested = server.services.blobs.collection_requested();
+    within("its files are collected at once", requested).await;
     for part in ["", "/events", "/artifact", "/view?frame=test/r_0"] {
         server.get(&format!("{job}{part}")).await.expect_problem(404, "job-not-found");
     }
