@@ -23,6 +23,10 @@ import requests
 
 PART = 8 << 20
 TRIES = 8
+# Slowest connection on which a part is sent to its end, in bytes a second.
+SLOWEST = 32 << 10
+# How long a request is repeated while an earlier one for the same thing is still being answered, in seconds.
+UNDER_WAY = 600
 TERMINAL = {"succeeded", "failed", "cancelled"}
 
 # Too many requests, and a service or proxy that is busy or starts again: the same request may succeed later.
@@ -56,7 +60,9 @@ class Service:
 
     def once(self, method, path, **options):
         """One request and its answer, whatever its status."""
-        options.setdefault("timeout", 120)
+        # The library counts sending a body as one step, so its time grows with the body. A scene is checked before it is answered.
+        sending = len(options.get("data") or b"") / SLOWEST
+        options.setdefault("timeout", sending + (600 if method == "POST" else 120))
         answer = self.session.request(method, self.base + path, allow_redirects=False, **options)
         length = answer.headers.get("Content-Length")
         bodiless = method == "HEAD" or answer.status_code in (204, 304)
@@ -79,8 +85,8 @@ class Service:
 
         Broken connections and statuses that ask to come again are tried again, so a request that makes something needs an
         Idempotency-Key. `whole` looks at an answer whose headers matter, and raises ValueError if they came in part."""
-        fault = None
-        for tries in range(TRIES):
+        fault, tries, until = None, 0, time.monotonic() + UNDER_WAY
+        while tries < TRIES:
             answer = None
             try:
                 answer = self.once(method, path, **options)
@@ -91,7 +97,10 @@ class Service:
                         whole(answer)
                     return answer
                 fault = Refused(f"{method} {path}: {answer.status_code} {said(answer)}")
-                if answer.status_code not in LATER and not in_flight(answer):
+                if under_way(answer) and time.monotonic() < until:
+                    time.sleep(min(self.pause * 4, 5))
+                    continue
+                if answer.status_code not in LATER:
                     raise fault
             except BROKEN as broken:
                 fault = broken
@@ -99,8 +108,9 @@ class Service:
                 raise
             except ValueError as part:
                 fault = Cut(f"{method} {path}: {part}")
-            if tries + 1 < TRIES:
-                self.wait(tries, answer)
+            tries += 1
+            if tries < TRIES:
+                self.wait(tries - 1, answer)
         raise fault
 
 
@@ -112,9 +122,10 @@ def said(answer):
         return answer.text[:200]
 
 
-def in_flight(answer):
-    """Whether the first request with the same Idempotency-Key is still being answered."""
-    return answer.status_code == 409 and "problem:idempotency-in-flight" in answer.text
+def under_way(answer):
+    """Whether an earlier request with the same Idempotency-Key, or for the same upload, is still being answered."""
+    kinds = ("problem:idempotency-in-flight", "problem:upload-locked")
+    return answer.status_code == 409 and any(kind in answer.text for kind in kinds)
 
 
 def retry_after(answer):

@@ -2,19 +2,29 @@
 
 use std::time::Duration;
 
+use bytes::Bytes;
 use reqwest::{
-    Method, RequestBuilder, Response, StatusCode, Url,
-    header::{ACCEPT, AUTHORIZATION, CONTENT_TYPE, HeaderMap, HeaderValue, RETRY_AFTER},
+    Method, Request, RequestBuilder, Response, StatusCode, Url,
+    header::{ACCEPT, AUTHORIZATION, CONTENT_LENGTH, CONTENT_TYPE, HeaderMap, HeaderValue, RETRY_AFTER},
 };
 use serde::de::DeserializeOwned;
 use tcgs::domain::{Problem, ProblemType};
+use tokio::time::timeout;
 use uuid::Uuid;
 
 use crate::cli::CliError;
 
 /// Timeouts of connecting, and of waiting for the next bytes of a response.
 const CONNECT_TIMEOUT: Duration = Duration::from_secs(10);
+const KEEPALIVE: Duration = Duration::from_secs(15);
 const READ_TIMEOUT: Duration = Duration::from_secs(120);
+/// Timeout of the response to a request that makes something: a dataset is checked before, after those that came earlier.
+const CREATION_TIMEOUT: Duration = Duration::from_secs(600);
+/// Slowest connection on which a request is sent to its end, in bytes a second.
+const SLOWEST: u64 = 32 << 10;
+/// How long a request is repeated while the service still answers an earlier one for the same thing, and the longest pause meanwhile.
+const UNDER_WAY_TIMEOUT: Duration = Duration::from_secs(600);
+const UNDER_WAY_PAUSE: Duration = Duration::from_secs(5);
 /// Largest response that is read as a document.
 const DOCUMENT_BYTES: usize = 64 << 20;
 /// Attempts of a repeatable request, and the pauses between them.
@@ -49,7 +59,8 @@ impl Connection {
         let client = builder
             .default_headers(headers)
             .connect_timeout(CONNECT_TIMEOUT)
-            .read_timeout(READ_TIMEOUT)
+            // No timeout for reading here: it would also count the time in which a request is sent.
+            .tcp_keepalive(KEEPALIVE)
             // The key must not be sent to the target of a redirect.
             .redirect(reqwest::redirect::Policy::none())
             .build()
@@ -66,25 +77,52 @@ impl Connection {
 
     /// Sends a request once; a response other than success is returned as its problem.
     pub(super) async fn send(&self, request: RequestBuilder) -> Result<Response, CliError> {
-        let response = request.send().await.map_err(|fault| unreachable(&self.base, &fault))?;
-        accepted(response).await
+        accepted(self.response(request).await?).await
     }
 
-    /// Sends the request that `make` creates and repeats it while the service is unreachable or busy; for idempotent requests only.
+    /// The response to a request, whatever its status. The time for it grows with the bytes to be sent.
+    pub(super) async fn response(&self, request: RequestBuilder) -> Result<Response, CliError> {
+        let unreachable = |fault: reqwest::Error| unreachable(&self.base, &fault);
+        let request = request.build().map_err(unreachable)?;
+        let limit = time_limit(&request);
+        match timeout(limit, self.client.execute(request)).await {
+            Ok(response) => response.map_err(unreachable),
+            Err(_) => {
+                let detail = format!("{} does not answer within {} s", self.base, limit.as_secs());
+                Err(Problem::new(ProblemType::Unreachable, detail).into())
+            }
+        }
+    }
+
+    /// Sends the request that `make` creates and repeats it while the service is unreachable, busy, or answering an earlier one for the
+    /// same thing; for idempotent requests only.
     pub(super) async fn send_with_retry(
         &self,
         make: impl AsyncFn() -> Result<RequestBuilder, CliError>,
     ) -> Result<Response, CliError> {
-        let mut pause = FIRST_PAUSE;
-        for _ in 1..TRIES {
-            match make().await?.send().await {
-                Ok(response) if !is_busy(response.status()) => return accepted(response).await,
-                Ok(response) => sleep(wanted_pause(&response).unwrap_or(pause)).await,
-                Err(_) => sleep(pause).await,
+        let (mut pause, mut tries, mut waited) = (FIRST_PAUSE, 1, Duration::ZERO);
+        loop {
+            match self.response(make().await?).await {
+                Ok(response) if tries < TRIES && is_busy(response.status()) => {
+                    tries += 1;
+                    sleep(wanted_pause(&response).unwrap_or(pause)).await;
+                }
+                Ok(response) => match accepted(response).await {
+                    Err(fault) if waited < UNDER_WAY_TIMEOUT && is_under_way(&fault) => {
+                        pause = pause.min(UNDER_WAY_PAUSE);
+                        waited += pause;
+                        sleep(pause).await;
+                    }
+                    done => return done,
+                },
+                Err(_) if tries < TRIES => {
+                    tries += 1;
+                    sleep(pause).await;
+                }
+                Err(fault) => return Err(fault),
             }
             pause *= 2;
         }
-        self.send(make().await?).await
     }
 
     /// Posts a JSON document with an idempotency key, so that a repeated request has no second effect.
@@ -119,14 +157,30 @@ pub(super) async fn document<T: DeserializeOwned>(response: Response) -> Result<
 /// The body of a response, of at most [`DOCUMENT_BYTES`].
 pub(super) async fn body(mut response: Response) -> Result<Vec<u8>, CliError> {
     let mut body = Vec::new();
-    let broken = |fault: reqwest::Error| unexpected(format!("its answer broke off: {}", root(&fault)));
-    while let Some(piece) = response.chunk().await.map_err(broken)? {
+    while let Some(piece) = next_piece(&mut response).await? {
         if body.len() + piece.len() > DOCUMENT_BYTES {
             return Err(unexpected(format!("its answer is longer than {DOCUMENT_BYTES} bytes")));
         }
         body.extend_from_slice(&piece);
     }
     Ok(body)
+}
+
+/// The next piece of a response's body.
+pub(super) async fn next_piece(response: &mut Response) -> Result<Option<Bytes>, CliError> {
+    match timeout(READ_TIMEOUT, response.chunk()).await {
+        Ok(piece) => piece.map_err(|fault| unexpected(format!("its answer broke off: {}", root(&fault)))),
+        Err(_) => Err(unexpected(format!("its answer paused for {} s", READ_TIMEOUT.as_secs()))),
+    }
+}
+
+/// The longest time from the start of a request to the head of its response.
+fn time_limit(request: &Request) -> Duration {
+    let announced =
+        request.headers().get(CONTENT_LENGTH).and_then(|length| length.to_str().ok()?.parse().ok());
+    let given = || request.body().and_then(|body| body.as_bytes()).map_or(0, <[u8]>::len) as u64;
+    let sending = Duration::from_secs(announced.unwrap_or_else(given) / SLOWEST);
+    sending + if request.method() == Method::POST { CREATION_TIMEOUT } else { READ_TIMEOUT }
 }
 
 /// A fault of the service's, not of the request.
@@ -160,6 +214,12 @@ fn is_busy(status: StatusCode) -> bool {
             | StatusCode::SERVICE_UNAVAILABLE
             | StatusCode::GATEWAY_TIMEOUT
     )
+}
+
+/// Whether the service still answers an earlier request for the same thing.
+fn is_under_way(fault: &CliError) -> bool {
+    let under_way = [ProblemType::UploadLocked, ProblemType::IdempotencyInFlight];
+    matches!(fault, CliError::Problem(problem) if under_way.iter().any(|kind| problem.is(*kind)))
 }
 
 /// The pause that the service asks for in `Retry-After`.
@@ -199,6 +259,19 @@ mod tests {
         }
         let fault = Connection::new("http://a", Some("line\nbreak")).expect_err("no header");
         assert!(fault.exit_status() == 2 && !fault.to_string().contains("break"), "{fault}");
+    }
+
+    #[test]
+    fn time_for_a_response_grows_with_what_is_sent_and_creations_have_more() {
+        let connection = Connection::new("http://a", None).expect("a connection");
+        let limit = |method: Method, bytes: usize| {
+            let request = connection.request(method, "/v1/uploads").expect("a request").body(vec![7; bytes]);
+            time_limit(&request.build().expect("whole"))
+        };
+        assert_eq!(limit(Method::GET, 0), READ_TIMEOUT);
+        assert_eq!(limit(Method::POST, 100), CREATION_TIMEOUT);
+        let part = limit(Method::PATCH, 16 << 20);
+        assert!(part >= Duration::from_secs(512), "16 MiB at a quarter of a megabit a second: {part:?}");
     }
 
     #[test]

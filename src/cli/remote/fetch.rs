@@ -23,7 +23,7 @@ use tcgs::domain::{Digest, JobId, Problem, ProblemType};
 use super::{
     Connection, ServerFlags,
     bytes_bar::bytes_bar,
-    connection::{sleep, unexpected},
+    connection::{next_piece, sleep, unexpected},
     job::{self, ArtifactView},
 };
 use crate::cli::{CliError, Report, files};
@@ -195,7 +195,7 @@ async fn receive(
     have: &mut u64,
     bar: &ProgressBar,
 ) -> io::Result<()> {
-    while let Ok(Some(piece)) = response.chunk().await {
+    while let Ok(Some(piece)) = next_piece(&mut response).await {
         file.write_all(&piece)?;
         hash.update(&piece);
         *have += piece.len() as u64;

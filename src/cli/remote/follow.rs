@@ -8,7 +8,7 @@ use tcgs::domain::{Event, EventKind, JobId, Phase, Progress};
 
 use super::{
     Connection,
-    connection::sleep,
+    connection::{next_piece, sleep},
     job::{self, JobView},
     sse::{Message, Parser},
 };
@@ -95,7 +95,7 @@ impl Follower<'_> {
             .request(Method::GET, &events)?
             .header(ACCEPT, "text/event-stream")
             .header("last-event-id", self.last);
-        let mut response = match ask.send().await {
+        let mut response = match self.connection.response(ask).await {
             Ok(response) => response,
             Err(_) => return Ok(Ended::Broken),
         };
@@ -107,7 +107,7 @@ impl Follower<'_> {
             _ => return Ok(Ended::Broken),
         }
         let mut parser = Parser::default();
-        while let Ok(Some(piece)) = response.chunk().await {
+        while let Ok(Some(piece)) = next_piece(&mut response).await {
             let Ok(messages) = parser.take(&piece) else { return Ok(Ended::Unavailable) };
             for message in &messages {
                 if self.take(message) {

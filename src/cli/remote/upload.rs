@@ -33,11 +33,12 @@ pub(super) async fn scene_of(
     if archive.bytes <= part_bytes || !takes_parts(connection).await? {
         return Ok(None);
     }
-    let begin = connection
-        .request(Method::POST, "/v1/uploads")?
-        .header(VERSION.0, VERSION.1)
-        .header("upload-length", archive.bytes);
-    let begun = connection.send(begin).await?;
+    let begin = async || {
+        let request = connection.request(Method::POST, "/v1/uploads")?.header(VERSION.0, VERSION.1);
+        Ok(request.header("upload-length", archive.bytes))
+    };
+    // If an answer is lost, the repetition begins another upload; the service ends the first one when nothing is sent to it.
+    let begun = connection.send_with_retry(begin).await?;
     let upload =
         text(&begun, LOCATION.as_str()).ok_or_else(|| unexpected("it names no place for the upload"))?;
     send_parts(connection, archive, part_bytes, &upload).await?;

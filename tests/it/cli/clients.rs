@@ -5,7 +5,10 @@ use std::{
     fs,
     path::Path,
     process::Output,
-    sync::{Arc, Mutex},
+    sync::{
+        Arc, Mutex,
+        atomic::{AtomicUsize, Ordering},
+    },
 };
 
 use axum::{
@@ -13,7 +16,7 @@ use axum::{
     extract::State,
     http::{HeaderMap, StatusCode, header},
     response::{IntoResponse as _, Response},
-    routing::get,
+    routing::{get, options, patch, post},
 };
 use serde_json::{Value, json};
 use tcgs::{
@@ -384,4 +387,68 @@ async fn a_large_dataset_goes_in_parts_and_becomes_a_job_of_a_scene() {
     }
     let whole = run(line!["submit", zip, "--server", url, "--part-bytes", bytes.to_string(), "--json"]).await;
     assert!(succeeded(&whole)["scene_id"].is_null(), "one part is one request");
+}
+
+/// A service that refuses the first requests to begin an upload and to make a scene.
+#[derive(Clone, Default)]
+struct Crowded {
+    begun: Arc<AtomicUsize>,
+    scenes: Arc<AtomicUsize>,
+}
+
+impl Crowded {
+    async fn begin(State(this): State<Self>) -> Response {
+        match this.begun.fetch_add(1, Ordering::SeqCst) {
+            0 => (StatusCode::SERVICE_UNAVAILABLE, [(header::RETRY_AFTER, "0")]).into_response(),
+            _ => (StatusCode::CREATED, [(header::LOCATION, "/v1/uploads/one")]).into_response(),
+        }
+    }
+
+    async fn part(headers: HeaderMap, body: bytes::Bytes) -> Response {
+        let offset: usize = headers["upload-offset"].to_str().expect("ASCII").parse().expect("a number");
+        (StatusCode::NO_CONTENT, [("upload-offset", (offset + body.len()).to_string())]).into_response()
+    }
+
+    async fn scene(State(this): State<Self>) -> Response {
+        let under_way = |kind: &str| {
+            let problem = json!({ "type": format!("urn:tcgs:problem:{kind}"), "title": kind, "status": 409,
+                "detail": "an earlier request is still being answered" });
+            (StatusCode::CONFLICT, problem.to_string()).into_response()
+        };
+        match this.scenes.fetch_add(1, Ordering::SeqCst) {
+            0 => under_way("upload-locked"),
+            1 => under_way("idempotency-in-flight"),
+            _ => (StatusCode::CREATED, json!({ "id": "a scene" }).to_string()).into_response(),
+        }
+    }
+
+    async fn job() -> Response {
+        let progress = serde_json::to_value(tcgs::domain::Progress::default()).expect("JSON");
+        let body = json!({ "id": "01a20055-454e-788e-bcc5-854572fb30d3", "state": "queued", "phase": "queued",
+            "progress": progress, "metrics": null, "error": null, "artifacts": [] });
+        (StatusCode::CREATED, body.to_string()).into_response()
+    }
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_dataset_is_submitted_to_a_service_that_is_busy_or_still_checks_it() {
+    let service = Crowded::default();
+    let versions = async || (StatusCode::NO_CONTENT, [("tus-version", "1.0.0")]);
+    let app = Router::new()
+        .route("/v1/uploads", options(versions).post(Crowded::begin))
+        .route("/v1/uploads/one", patch(Crowded::part))
+        .route("/v1/scenes", post(Crowded::scene))
+        .route("/v1/jobs", post(Crowded::job))
+        .with_state(service.clone());
+    let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.expect("a port");
+    let url = format!("http://{}", listener.local_addr().expect("bound"));
+    tokio::spawn(async move { axum::serve(listener, app).await });
+    let folder = tempfile::tempdir().expect("a folder");
+    let zip = folder.path().join("scene.zip");
+    sample::write(&zip, &sample::Settings { side: 16, points: 50, seed: 1 }).expect("writes");
+    let part = (fs::metadata(&zip).expect("a file").len() / 2).to_string();
+    let submitted = run(line!["submit", zip, "--server", url, "--part-bytes", part, "--json"]).await;
+    assert_eq!(succeeded(&submitted)["state"], "queued");
+    let asked = [service.begun, service.scenes].map(|count| count.load(Ordering::SeqCst));
+    assert_eq!(asked, [2, 3]);
 }
