@@ -4,7 +4,8 @@ use std::time::Duration;
 
 use reqwest::{Method, StatusCode, header::ACCEPT};
 use serde_json::Value;
-use tcgs::domain::{Event, EventKind, JobId, Phase, Progress};
+use tcgs::domain::{Event, EventKind, JobId, Phase, ProblemType, Progress};
+use tokio::time::Instant;
 
 use super::{
     Connection,
@@ -19,6 +20,9 @@ const PAUSE: Duration = Duration::from_secs(1);
 /// Breaks in a row without an event after which polling replaces the stream.
 const MAX_BREAKS: u32 = 5;
 
+/// How long a service may be away that has answered before: an upgrade drains, migrates and starts.
+const MAX_OUTAGE: Duration = Duration::from_secs(300);
+
 /// How a stream ended.
 enum Ended {
     /// At the end of the job or of its events.
@@ -27,6 +31,12 @@ enum Ended {
     Broken,
     /// The service has no stream.
     Unavailable,
+}
+
+/// Whether a service that starts again, or the proxy before it, fails like this.
+fn is_away(fault: &CliError) -> bool {
+    let CliError::Problem(problem) = fault else { return false };
+    problem.is(ProblemType::Unreachable) || matches!(problem.status, 502..=504)
 }
 
 /// Waits until the job has ended and shows its progress.
@@ -75,10 +85,19 @@ impl Follower<'_> {
         self.poll().await
     }
 
-    /// Polls the job until it has ended.
+    /// Polls the job until it has ended, also while the service is away for a while.
     async fn poll(&mut self) -> Result<(Value, JobView), CliError> {
+        let mut answered = Instant::now();
         loop {
-            let (whole, view) = job::get(self.connection, self.id).await?;
+            let (whole, view) = match job::get(self.connection, self.id).await {
+                Ok(found) => found,
+                Err(fault) if is_away(&fault) && answered.elapsed() < MAX_OUTAGE => {
+                    sleep(PAUSE).await;
+                    continue;
+                }
+                Err(fault) => return Err(fault),
+            };
+            answered = Instant::now();
             if view.state.is_terminal() {
                 return Ok((whole, view));
             }

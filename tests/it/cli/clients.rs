@@ -225,13 +225,19 @@ async fn what_the_service_refuses_and_what_fails_there_is_the_commands_failure()
 struct Moody {
     asked: Arc<Mutex<Vec<(String, HeaderMap)>>>,
     streams: bool,
+    /// How many requests for the job, after the first, are answered 503.
+    away: usize,
     job: JobId,
 }
 
 impl Moody {
     async fn start(streams: bool) -> (Self, String) {
+        Self::start_away(streams, 0).await
+    }
+
+    async fn start_away(streams: bool, away: usize) -> (Self, String) {
         let job = JobId("01a20055-454e-788e-bcc5-854572fb30d3".parse().expect("a UUID"));
-        let this = Self { asked: Arc::default(), streams, job };
+        let this = Self { asked: Arc::default(), streams, away, job };
         let app = Router::new()
             .route("/v1/jobs/{id}", get(Self::job))
             .route("/v1/jobs/{id}/events", get(Self::events))
@@ -249,6 +255,9 @@ impl Moody {
     /// Runs until its events were all told, or until it was asked for a third time.
     async fn job(State(this): State<Self>, headers: HeaderMap) -> Response {
         this.asked.lock().expect("not poisoned").push(("job".to_owned(), headers));
+        if (2..2 + this.away).contains(&this.count("job")) {
+            return (StatusCode::SERVICE_UNAVAILABLE, [(header::RETRY_AFTER, "0")]).into_response();
+        }
         let ended = if this.streams { this.count("events") >= 3 } else { this.count("job") >= 3 };
         let state = if ended { "succeeded" } else { "running" };
         let progress = serde_json::to_value(tcgs::domain::Progress::default()).expect("JSON");
@@ -300,6 +309,14 @@ async fn a_stream_that_breaks_off_is_gone_on_with_where_it_was() {
         "{}",
         text(&watched.stderr)
     );
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_job_is_watched_on_after_the_service_was_away() {
+    let (service, url) = Moody::start_away(false, 12).await;
+    let watched = run(line!["watch", service.job.to_string(), "--server", url, "--json"]).await;
+    assert_eq!(succeeded(&watched)["state"], "succeeded");
+    assert!(service.count("job") > 12);
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
