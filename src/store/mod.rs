@@ -115,6 +115,9 @@ pub trait Store:
     /// The job.
     fn job(&self, id: JobId) -> StoreFuture<'_, Option<JobRecord>>;
 
+    /// Whether any job is running.
+    fn has_running_job(&self) -> StoreFuture<'_, bool>;
+
     /// Up to `limit` jobs that pass the filter, newest first, older than `before`.
     fn jobs<'a>(
         &'a self,

@@ -32,13 +32,12 @@ use super::{
     view_renderer::{picture, render_with_permit},
 };
 use crate::{
-    domain::{JobState, KeyId},
+    domain::KeyId,
     http::{
         auth::revocation::revoked,
         problem::{ApiResult, ProblemResponse},
         state::AppState,
     },
-    store::JobFilter,
 };
 
 /// The pictures of a response, how often and how fast they are shown.
@@ -228,8 +227,7 @@ impl FrameProducer {
 
 /// Whether a job is running; false if the database fails.
 async fn training(state: &AppState) -> bool {
-    let running = JobFilter { states: vec![JobState::Running], ..JobFilter::default() };
-    state.store().jobs(&running, None, 1).await.is_ok_and(|jobs| !jobs.is_empty())
+    state.store().has_running_job().await.unwrap_or(false)
 }
 
 impl BodyEncoder {

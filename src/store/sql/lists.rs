@@ -123,7 +123,10 @@ mod tests {
         domain::{DatasetId, JobId, JobState},
         store::{
             SqlStore,
-            sql::{FIRST_DEADLINE, accounts, datasets, open::temporary_store, queue, retention, stats},
+            sql::{
+                ANY_RUNNING, FIRST_DEADLINE, accounts, datasets, open::temporary_store, queue, retention,
+                stats,
+            },
         },
     };
 
@@ -190,10 +193,12 @@ mod tests {
             "SCAN totals",
             "SCAN counters",
             "SCAN jobs USING INDEX jobs_by_lease",
+            "SCAN jobs USING COVERING INDEX jobs_by_lease",
             "SCAN totals USING INDEX project_totals_queued",
         ];
         let all = accounts::STATEMENTS
             .into_iter()
+            .chain([ANY_RUNNING])
             .map(Sql::from)
             .chain(stats::STATEMENTS)
             .chain(queue::statements());

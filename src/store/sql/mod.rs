@@ -75,6 +75,9 @@ const DATABASE_TIME: &str = "SELECT CAST(extract(epoch FROM clock_timestamp()) *
 const FIRST_DEADLINE: &str = "SELECT min(deadline_at) AS first FROM jobs
     WHERE state IN ('queued', 'running') AND state = 'queued' AND deadline_at IS NOT NULL";
 
+/// A running job, if there is one. The state is no value, since the indexes of running jobs serve only statements that name it.
+const ANY_RUNNING: &str = "SELECT 1 FROM jobs WHERE state = 'running' LIMIT 1";
+
 /// [`Store`] on SQLite or PostgreSQL.
 pub struct SqlStore {
     writer: Pool,
@@ -410,6 +413,10 @@ impl Store for SqlStore {
 
     fn changes(&self, kind: ChangeKind) -> Changes {
         self.listener.get_or_init(|| Listener::start(&self.readers)).changes(kind)
+    }
+
+    fn has_running_job(&self) -> StoreFuture<'_, bool> {
+        Box::pin(async move { Ok(query(ANY_RUNNING).optional(&self.readers, |_| Ok(())).await?.is_some()) })
     }
 
     fn ping(&self) -> StoreFuture<'_, ()> {

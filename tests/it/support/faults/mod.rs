@@ -209,6 +209,9 @@ impl Store for FaultStore {
     fn fail_expired(&self) -> StoreFuture<'_, u64> {
         self.guard(self.inner.fail_expired())
     }
+    fn has_running_job(&self) -> StoreFuture<'_, bool> {
+        self.guard(self.inner.has_running_job())
+    }
     fn resumable<'a>(&'a self, jobs: &'a [JobId]) -> StoreFuture<'a, Vec<JobId>> {
         self.guard(self.inner.resumable(jobs))
     }
