@@ -18,8 +18,10 @@ with_defaults! {
         /// Consecutive attempts that ended together with the service, without a newer checkpoint in between, before the next one is
         /// delayed. Such a job never fails for that, but it may be what brings the machine down.
         pub immediate_restarts: u32 = 3,
-        /// How long a held job waits until its next attempt.
+        /// How long a job that is held for the first time waits until its next attempt; each further hold doubles it.
         pub hold_delay: Duration = Duration::from_secs(10),
+        /// Longest time that a held job waits: soon after there is room again, everything goes on.
+        pub hold_cap: Duration = Duration::from_secs(60),
         /// Delay before the second attempt; each further one doubles it.
         pub backoff_base: Duration = Duration::from_secs(10),
         /// Longest delay between attempts.
@@ -43,6 +45,12 @@ impl QueuePolicy {
         let doubled = self.backoff_base.saturating_mul(1_u32 << charged.saturating_sub(1).min(20));
         let draw = Digest::of(format!("{job}/{charged}").as_bytes()).as_bytes()[0];
         doubled.min(self.backoff_cap).mul_f64(0.9 + 0.2 * f64::from(draw) / 255.0)
+    }
+
+    /// The delay after a job was held whose attempts were not charged `refunded` times before.
+    #[must_use]
+    pub fn hold(&self, refunded: u32) -> Duration {
+        self.hold_delay.saturating_mul(1_u32 << refunded.min(20)).min(self.hold_cap)
     }
 }
 

@@ -104,7 +104,11 @@ fn by_end(
         AttemptEnd::Reported(Outcome::Held(problem)) => (
             AttemptOutcome::Released,
             Some(problem),
-            NextState::Requeue { delay: policy.hold_delay, refund: true, losses: state.losses_so_far() },
+            NextState::Requeue {
+                delay: policy.hold(state.attempt.saturating_sub(state.charged)),
+                refund: true,
+                losses: state.losses_so_far(),
+            },
         ),
         AttemptEnd::Reported(Outcome::Released) => (
             AttemptOutcome::Released,
@@ -310,6 +314,18 @@ mod tests {
             assert_eq!((delay, refund), (policy.hold_delay, true));
             assert_eq!(losses, LossStreak { alone: 1, with_service: 0 }, "earlier losses still count");
         }
+    }
+
+    #[test]
+    fn a_job_that_is_held_again_and_again_waits_longer_but_a_minute_at_most() {
+        let policy = QueuePolicy::default();
+        let delays = [1, 2, 3, 4, 1000].map(|attempt| {
+            let state = AttemptState { attempt, ..attempt_state(1, 0, false) };
+            let (_, _, next) = decide(&policy, &state, AttemptEnd::Reported(Outcome::Held(problem())));
+            let NextState::Requeue { delay, .. } = next else { panic!("{next:?}") };
+            delay.as_secs()
+        });
+        assert_eq!(delays, [10, 20, 40, 60, 60]);
     }
 
     /// Lost attempts in order, each with the step of the newest checkpoint at that time.
