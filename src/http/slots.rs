@@ -15,6 +15,13 @@ pub(super) struct Capacity {
     pub(super) each: usize,
 }
 
+impl Capacity {
+    /// Places of which one holder leaves a quarter, or at least one, to the others where there is more than one.
+    pub(super) fn shared(all: usize) -> Self {
+        Self { all, each: (all - all.div_ceil(4)).max(1) }
+    }
+}
+
 /// How many places are taken.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Taken {
@@ -98,6 +105,13 @@ mod tests {
         let _again = slots.take('a').expect("a place that was given back");
         let _other = slots.take('b').expect("a place");
         assert_eq!(slots.lock().len(), 2);
+    }
+
+    #[test]
+    fn one_holder_leaves_a_place_wherever_there_are_two() {
+        for (all, each) in [(0, 1), (1, 1), (2, 1), (3, 2), (4, 3), (8, 6)] {
+            assert_eq!(Capacity::shared(all).each, each, "of {all}");
+        }
     }
 
     #[test]

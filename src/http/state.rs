@@ -152,7 +152,7 @@ impl AppState {
     #[must_use]
     pub fn new(services: Services, limits: RequestLimits, draining: CancellationToken) -> Self {
         // A project that sends slowly leaves places to the others.
-        let uploads = Slots::new(Capacity { all: limits.uploads, each: limits.uploads - limits.uploads / 4 });
+        let uploads = Slots::new(Capacity::shared(limits.uploads));
         let view_renderer = ViewRenderer::new(&limits);
         let throttle = Throttle::new(Arc::clone(&services.clock), limits.access.clone());
         let waits = Semaphore::new(limits.waits);
