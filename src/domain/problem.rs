@@ -60,6 +60,7 @@ problem_types! {
     TooManyRequests = 429, "too-many-requests", "Too many requests";
     TooManyFailures = 429, "too-many-failures", "Too many requests without a key";
     TooManyJobs = 429, "too-many-jobs", "Too many jobs at a time";
+    TooManyUploads = 429, "too-many-uploads", "Too many open uploads";
     TooManyViews = 429, "too-many-views", "Too many views";
     TooManyStreams = 429, "too-many-streams", "Too many streams";
     QuotaExceeded = 507, "quota-exceeded", "Over the project's quota";

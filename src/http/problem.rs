@@ -21,6 +21,8 @@ use crate::{
 const RETRY_AFTER_SECONDS: u32 = 2;
 /// `Retry-After` of a request that waits for a job to end, in seconds.
 const RETRY_WHEN_A_JOB_ENDS: u32 = 30;
+/// `Retry-After` of a project that has as many open uploads as it may.
+const RETRY_WHEN_AN_UPLOAD_ENDS: u32 = 30;
 
 /// What handlers return.
 pub(crate) type ApiResult<T = Response> = Result<T, ProblemResponse>;
@@ -181,6 +183,12 @@ impl From<StoreError> for ProblemResponse {
                 ProblemType::TooManyJobs
                     .because(detail)
                     .with_header(header::RETRY_AFTER, RETRY_WHEN_A_JOB_ENDS.into())
+            }
+            StoreError::TooManyUploads { .. } => {
+                let detail = format!("{error}; finish or delete one");
+                ProblemType::TooManyUploads
+                    .because(detail)
+                    .with_header(header::RETRY_AFTER, RETRY_WHEN_AN_UPLOAD_ENDS.into())
             }
             StoreError::NoDataset(id) => Self::no_scene(id),
             StoreError::NoProject(id) => Self::no_project(id),

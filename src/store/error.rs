@@ -40,6 +40,12 @@ pub enum StoreError {
         /// How many are queued or running.
         active: u32,
     },
+    /// The project has its maximum of open uploads.
+    #[error("{open} uploads are open, the maximum for a project")]
+    TooManyUploads {
+        /// How many are open.
+        open: u32,
+    },
     /// A higher priority than the project's jobs may have.
     #[error("priority {requested} is above {max}, the maximum for jobs of this project")]
     PriorityTooHigh {
@@ -133,6 +139,7 @@ impl StoreError {
             | Self::IdempotencyKeyUsed(_)
             | Self::QuotaExceeded { .. }
             | Self::TooManyJobs { .. }
+            | Self::TooManyUploads { .. }
             | Self::PriorityTooHigh { .. }
             | Self::NoProject(_)
             | Self::NoDataset(_) => true,

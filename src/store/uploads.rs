@@ -5,6 +5,9 @@ use jiff::{SignedDuration, Timestamp};
 use super::StoreFuture;
 use crate::domain::{DatasetId, ProjectId, UploadId};
 
+/// Open uploads that a project may have at a time.
+pub const MAX_OPEN_UPLOADS: u32 = 256;
+
 /// An upload to be started.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct NewUpload {
@@ -64,7 +67,7 @@ pub trait Uploads: Send + Sync + 'static {
     /// Starts an upload and reserves its bytes.
     ///
     /// # Errors
-    /// [`super::StoreError::QuotaExceeded`].
+    /// [`super::StoreError::QuotaExceeded`], [`super::StoreError::TooManyUploads`].
     fn create_upload(&self, new: NewUpload) -> StoreFuture<'_, UploadRecord>;
 
     /// The upload.

@@ -11,7 +11,7 @@ use super::{
     rows::json,
 };
 use crate::{
-    domain::{Digest, JobId, ProjectId},
+    domain::{Digest, JobId, ProjectId, UploadId},
     store::StoreError,
 };
 
@@ -52,6 +52,11 @@ pub(super) async fn job(tx: &mut Transaction, job: JobId) -> Result<(), StoreErr
 /// Locks the totals of the projects of these jobs.
 pub(super) async fn jobs(tx: &mut Transaction, jobs: &[JobId]) -> Result<(), StoreError> {
     totals(tx, "SELECT project FROM jobs WHERE id IN ", MEMBERS, json(&jobs)?.into()).await
+}
+
+/// Locks the totals of the projects of these uploads.
+pub(super) async fn uploads(tx: &mut Transaction, uploads: &[UploadId]) -> Result<(), StoreError> {
+    totals(tx, "SELECT project FROM uploads WHERE id IN ", MEMBERS, json(&uploads)?.into()).await
 }
 
 /// Keeps a blob's row from being deleted; returns false if it was.

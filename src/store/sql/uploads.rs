@@ -3,18 +3,21 @@
 use jiff::Timestamp;
 
 use super::{
-    SqlStore, accounts,
+    MEMBERS, SqlStore, accounts,
     db::{Row, Transaction, query, values},
     locks,
-    rows::{instant, micros, optional_instant, optional_parsed, parsed, whole},
+    rows::{instant, json, micros, optional_instant, optional_parsed, parsed, whole},
 };
 use crate::{
-    domain::UploadId,
+    domain::{ProjectId, UploadId},
     store::{
         NewUpload, StoreError, StoreFuture, UploadRecord, Uploads,
-        uploads::{UploadParts, UploadWriter, WRITER_LIFE},
+        uploads::{MAX_OPEN_UPLOADS, UploadParts, UploadWriter, WRITER_LIFE},
     },
 };
+
+/// Uploads per transaction of garbage collection, so that other writers never wait for long.
+const BATCH: u32 = 100;
 
 fn upload(row: &Row) -> Result<UploadRecord, StoreError> {
     Ok(UploadRecord {
@@ -48,10 +51,39 @@ async fn select(connection: &mut Transaction, id: UploadId) -> Result<Option<Upl
     query("SELECT * FROM uploads WHERE id = ?").bind(id.to_string()).optional(connection, upload).await
 }
 
+/// Refuses another upload of a project that has as many open ones as it may: they may all be empty, and take none of the quota.
+async fn expect_room(tx: &mut Transaction, project: ProjectId) -> Result<(), StoreError> {
+    let row = query("SELECT count(*) AS open FROM uploads WHERE project = ? AND ended_at IS NULL")
+        .bind(project.to_string())
+        .fetch_one(tx)
+        .await?;
+    let open: u32 = whole(&row, "open")?;
+    if open < MAX_OPEN_UPLOADS { Ok(()) } else { Err(StoreError::TooManyUploads { open }) }
+}
+
+/// Ends up to [`BATCH`] uploads that expire before `now`.
+async fn expire_some(tx: &mut Transaction, now: Timestamp) -> Result<Vec<UploadId>, StoreError> {
+    let due: Vec<UploadId> = query(
+        "SELECT id FROM uploads WHERE ended_at IS NULL AND expires_at <= ? ORDER BY expires_at LIMIT ?",
+    )
+    .bind_all(values![micros(now), BATCH])
+    .all(&mut *tx, upload_id)
+    .await?;
+    if due.is_empty() {
+        return Ok(due);
+    }
+    locks::uploads(tx, &due).await?;
+    let mut ended =
+        query("UPDATE uploads SET ended_at = ? WHERE ended_at IS NULL AND expires_at <= ? AND id IN ");
+    ended.push(MEMBERS).push(" RETURNING id");
+    ended.bind_all(values![micros(now), micros(now), json(&due)?]).all(tx, upload_id).await
+}
+
 impl Uploads for SqlStore {
     fn create_upload(&self, new: NewUpload) -> StoreFuture<'_, UploadRecord> {
         Box::pin(self.write(async move |tx, now| {
             locks::project(tx, new.project).await?;
+            expect_room(tx, new.project).await?;
             accounts::admit(tx, self.policy.limits.quota_bytes, new.project, new.length).await?;
             query(
                 "INSERT INTO uploads (id, project, length, metadata, created_at, expires_at) VALUES (?, ?, ?, ?, ?, ?)",
@@ -106,17 +138,24 @@ impl Uploads for SqlStore {
         Box::pin(async move {
             // This is called at intervals, by whoever collects garbage.
             self.fold_changes().await?;
-            self.write(async move |tx, now| {
-                let selected = "SELECT project FROM uploads WHERE ended_at IS NULL AND expires_at <= ";
-                locks::projects(tx, selected, micros(now)).await?;
-                let ended = query(
-                    "UPDATE uploads SET ended_at = ?1 WHERE ended_at IS NULL AND expires_at <= ?1 RETURNING id",
-                );
-                let ended = ended.bind(micros(now)).all(&mut *tx, upload_id).await?;
-                query("DELETE FROM uploads WHERE ended_at < ?").bind(micros(forget)).execute(tx).await?;
-                Ok(ended)
-            })
-            .await
+            let mut expired = Vec::new();
+            loop {
+                let some = self.write(async move |tx, now| expire_some(tx, now).await).await?;
+                if some.is_empty() {
+                    break;
+                }
+                expired.extend(some);
+            }
+            let forget_some = async || {
+                self.write(async move |tx, _| {
+                    let some =
+                        "DELETE FROM uploads WHERE id IN (SELECT id FROM uploads WHERE ended_at < ? LIMIT ?)";
+                    Ok(query(some).bind_all(values![micros(forget), BATCH]).execute(tx).await?)
+                })
+                .await
+            };
+            while forget_some().await? > 0 {}
+            Ok(expired)
         })
     }
 

@@ -123,6 +123,7 @@ scenarios! {
         scenes_of_another_key_are_not_there_and_bytes_have_a_quota,
     }
     uploads {
+        a_project_has_so_many_open_uploads,
         a_dataset_comes_in_parts_and_becomes_a_scene,
         headers_that_make_no_sense_are_named,
         parts_that_do_not_fit_change_nothing,

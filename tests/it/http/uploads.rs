@@ -3,6 +3,7 @@
 use std::{sync::Arc, time::Duration};
 
 use base64::{Engine as _, engine::general_purpose::STANDARD};
+use jiff::SignedDuration;
 use proptest::prelude::*;
 use reqwest::RequestBuilder;
 use serde_json::json;
@@ -11,11 +12,13 @@ use sha2::{Digest as _, Sha256};
 use tcgs::{
     domain::{Digest, ProjectId, ProjectLimits, Scope, UploadId},
     http::config::RequestLimits,
+    store::{NewUpload, Uploads as _, uploads::MAX_OPEN_UPLOADS},
 };
 use tokio::{
     io::{AsyncReadExt as _, AsyncWriteExt as _},
     net::TcpStream,
 };
+use uuid::Uuid;
 
 use super::connections::tight_limits;
 use crate::support::{
@@ -481,4 +484,19 @@ proptest! {
             assert_eq!(scene["dataset"]["sha256"], Digest::of(&content).to_string());
         });
     }
+}
+
+pub(super) async fn a_project_has_so_many_open_uploads(coverage: Coverage) {
+    let server = Server::start_with(&coverage, idle()).await;
+    let expires_at = server.services.clock.now() + SignedDuration::from_hours(1);
+    for number in 1..=u128::from(MAX_OPEN_UPLOADS) {
+        let (id, project) = (UploadId(Uuid::from_u128(number)), ProjectId::DEFAULT);
+        let new = NewUpload { id, project, length: 0, metadata: None, expires_at };
+        server.store.create_upload(new).await.expect("room");
+    }
+    let begin = || server.send("POST", "/v1/uploads", |request| tus(request).header("upload-length", 0));
+    begin().await.expect_problem(429, "too-many-uploads");
+    let path = format!("/v1/uploads/{}", UploadId(Uuid::from_u128(1)));
+    server.send("DELETE", &path, tus).await.expect(204);
+    begin().await.expect(201);
 }

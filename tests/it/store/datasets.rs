@@ -11,6 +11,7 @@ use tcgs::{
     store::{
         Artifact, ArtifactKind, BlobRef, DatasetCreation, DatasetDeletion, DatasetPageKey, DatasetRecord,
         NewDataset, NewJob, NewProject, NewUpload, Outcome, QueuePolicy, Store, StoreError, Usage,
+        uploads::MAX_OPEN_UPLOADS,
     },
 };
 use uuid::Uuid;
@@ -257,6 +258,29 @@ async fn uploads_expire_and_stay_listed_as_ended_for_a_while() {
     assert_eq!(fixture.store.expire_uploads(forget(24)).await.expect("swept"), [young]);
     assert_eq!(fixture.store.upload(open).await.expect("read"), None);
     assert!(fixture.store.upload(young).await.expect("read").is_some());
+}
+
+#[tokio::test]
+async fn a_project_has_a_bounded_number_of_open_uploads_which_expire_in_one_sweep() {
+    let Some(fixture) = Fixture::new().await else { return };
+    for number in 1..=u128::from(MAX_OPEN_UPLOADS) {
+        fixture.begin(number, NOBODY, 0).await.expect("room");
+    }
+    let refused = fixture.begin(1000, NOBODY, 0).await.expect_err("one too many");
+    assert!(matches!(refused, StoreError::TooManyUploads { open: MAX_OPEN_UPLOADS }), "{refused:?}");
+    let other = fixture.project(1, None).await;
+    fixture.begin(1001, other, 0).await.expect("it is the limit of a project");
+    assert!(fixture.store.delete_upload(UploadId(Uuid::from_u128(1))).await.expect("deleted"));
+    fixture.begin(1000, NOBODY, 0).await.expect("room for another");
+    fixture.clock.advance(SignedDuration::from_hours(1));
+    let forget = fixture.clock.now();
+    let expired = fixture.store.expire_uploads(forget).await.expect("swept").len();
+    assert_eq!(expired, MAX_OPEN_UPLOADS as usize + 1);
+    fixture.begin(1002, NOBODY, 0).await.expect("the ended ones do not count");
+    fixture.clock.advance(SignedDuration::from_secs(1));
+    assert_eq!(fixture.store.expire_uploads(fixture.clock.now()).await.expect("swept"), []);
+    let gone = fixture.store.upload(UploadId(Uuid::from_u128(1000))).await.expect("read");
+    assert_eq!(gone, None, "what ended before is forgotten");
 }
 
 #[tokio::test]
