@@ -26,13 +26,14 @@ use super::{
     file_of, take_lambda,
 };
 use crate::{
-    domain::{Digest, ExportFidelity, ExportedScene, JobId, NamedCamera, SceneFormat},
+    domain::{Digest, ExportFidelity, ExportedScene, JobId, NamedCamera, ProjectId, SceneFormat},
     http::{
         auth::cross_site::{FollowedLink, refuse_followed_link},
         datasets::received::withdraw_blob,
         jobs::OwnedJob,
         problem::{ApiResult, ProblemResponse},
         request::{Parameters, Reservations, require_free_space},
+        slots::{Capacity, Slots},
         state::{AppState, SceneSource},
     },
     store::{ArtifactKind, ExportRecord, JobRecord},
@@ -51,8 +52,8 @@ type PendingExport = Shared<BoxFuture<'static, ApiResult<ExportRecord>>>;
 
 /// The exports in progress.
 pub(crate) struct ExportQueue {
-    /// Running and waiting exports.
-    slots: Semaphore,
+    /// Running and waiting exports, of which one project leaves places to the others.
+    slots: Slots<ProjectId>,
     /// Running exports.
     permits: Semaphore,
     pending: Mutex<BTreeMap<ExportKey, PendingExport>>,
@@ -68,8 +69,8 @@ impl ExportQueue {
     /// A queue that runs `at_once` exports while `waiting` more wait.
     pub(crate) fn new(at_once: usize, waiting: usize) -> Self {
         let at_once = at_once.max(1);
-        let (slots, permits) = (Semaphore::new(at_once + waiting), Semaphore::new(at_once));
-        Self { slots, permits, pending: Mutex::default() }
+        let slots = Slots::new(Capacity::shared(at_once + waiting));
+        Self { slots, permits: Semaphore::new(at_once), pending: Mutex::default() }
     }
 }
 
@@ -175,8 +176,13 @@ async fn make(
     // The size is known, and reserved, once the file is written.
     state.store().admit_export(job).await?;
     require_free_space(&state, 0)?;
-    let slot = state.exports.slots.try_acquire();
-    let _slot = slot.map_err(|_| ProblemResponse::busy("too many exports are in progress"))?;
+    let slots = &state.exports.slots;
+    let _slot = slots.take(record.project).map_err(|taken| {
+        ProblemResponse::busy(match taken.by_all < slots.capacity().all {
+            true => "too many of your project's exports are in progress",
+            false => "too many exports are in progress",
+        })
+    })?;
     let _permit = state.exports.permits.acquire().await?;
     let cameras = cameras_of(&state, &record).await?;
     let (services, runtime) = (state.services.clone(), Handle::current());

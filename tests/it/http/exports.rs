@@ -167,7 +167,12 @@ pub(super) async fn an_export_that_cannot_be_is_said_so(coverage: Coverage) {
 
 /// A finished job of a key, and its path.
 async fn finished(server: &Server, key: &TestKey) -> String {
-    let made = server.send("POST", "/v1/jobs", |request| {
+    finished_with(server, key, "").await
+}
+
+async fn finished_with(server: &Server, key: &TestKey, query: &str) -> String {
+    let path = format!("/v1/jobs{query}");
+    let made = server.send("POST", &path, |request| {
         request.bearer_auth(&key.key).header("content-type", "application/zip").body("succeed")
     });
     let job = made.await.expect(201).header("location").to_owned();
@@ -238,6 +243,29 @@ pub(super) async fn few_exports_are_made_at_a_time_and_each_for_all_who_ask(cove
     }
     assert_eq!(server.exporter.made.load(Ordering::SeqCst), 1);
     server.get(&format!("{job}/export?format=ply")).await.expect(200);
+}
+
+pub(super) async fn one_project_leaves_places_for_the_exports_of_others(coverage: Coverage) {
+    let limits =
+        tcgs::http::config::RequestLimits { exports: 1, exports_waiting: 1, ..Setup::default().limits };
+    let server = Server::start_with(&coverage, Setup { limits, ..Setup::default() }).await;
+    let scopes = [Scope::Read, Scope::JobsWrite];
+    let [one, other] = [server.key(&scopes).await, server.key(&scopes).await];
+    let job = finished_with(&server, &one, "?rd_curve=0.004,0.0005").await;
+    let job_of_other = finished(&server, &other).await;
+    let export = async |job: &str, format: &str, key: &TestKey| {
+        with_key(&server, "GET", &format!("{job}/export?format={format}"), &key.key).await
+    };
+    let refused = async {
+        server.exporter.gate.someone_waits().await;
+        let detail = export(&job, "spz", &one).await.expect_problem(503, "busy");
+        assert!(detail.contains("your project's exports"), "{detail}");
+        let waiting = export(&job_of_other, "ply", &other);
+        tokio::join!(waiting, async { server.exporter.gate.open() }).0
+    };
+    let (first, third) = tokio::join!(export(&job, "ply&lambda=0.0005", &one), refused);
+    first.expect(200);
+    third.expect(200);
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]

@@ -138,6 +138,7 @@ scenarios! {
         an_export_that_cannot_be_is_said_so,
         an_export_needs_room_within_its_owners_quota,
         few_exports_are_made_at_a_time_and_each_for_all_who_ask,
+        one_project_leaves_places_for_the_exports_of_others,
     }
     webhooks {
         endpoints_are_made_listed_and_deleted_and_show_their_secret_once,
