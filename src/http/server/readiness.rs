@@ -23,13 +23,50 @@ use crate::{
 
 /// How long the checks of the disk are cached: they write a file and run a transaction.
 const CACHE_TIME: Duration = Duration::from_secs(2);
+/// How long the database's answers are cached, so that requests without a key cannot keep it busy.
+const ANSWER_TIME: Duration = Duration::from_secs(1);
 /// Timeout of one check.
 const CHECK_TIMEOUT: Duration = Duration::from_secs(5);
 const OK: &str = "ok";
 
-/// The cached checks of the disk.
+/// The cached checks.
 #[derive(Debug, Default)]
-pub(crate) struct Checks(Mutex<Option<(Instant, Disk)>>);
+pub(crate) struct Checks {
+    disk: Cached<Disk>,
+    answers: Cached<Answers>,
+}
+
+/// What was found last, and when.
+#[derive(Debug)]
+struct Cached<T>(Mutex<Option<(Instant, T)>>);
+
+impl<T> Default for Cached<T> {
+    fn default() -> Self {
+        Self(Mutex::default())
+    }
+}
+
+impl<T: Clone> Cached<T> {
+    /// What was found less than `age` ago, or else what `find` finds. Concurrent callers wait for the same.
+    async fn get(&self, age: Duration, find: impl Future<Output = T>) -> T {
+        let mut cached = self.0.lock().await;
+        if let Some((at, found)) = &*cached
+            && at.elapsed() < age
+        {
+            return found.clone();
+        }
+        let found = find.await;
+        *cached = Some((Instant::now(), found.clone()));
+        found
+    }
+}
+
+/// What the database answers: `ok`, or what is wrong.
+#[derive(Debug, Clone)]
+struct Answers {
+    database: String,
+    migrations: String,
+}
 
 /// The checks of the disk: `ok`, or what is wrong.
 #[derive(Debug, Clone)]
@@ -43,13 +80,13 @@ struct Disk {
 ///
 /// Dead workers do not make the service unready: requests are answered, jobs wait, and the supervisor restarts workers.
 pub(crate) async fn readyz(State(state): State<AppState>) -> ApiResult {
-    let disk = disk(&state).await;
+    let disk = state.checks.disk.get(CACHE_TIME, disk(&state)).await;
+    let answers = state.checks.answers.get(ANSWER_TIME, answers(&state)).await;
     let drain = if state.draining.is_cancelled() { "the server is shutting down" } else { OK };
-    let answers = database(&state).await;
-    let database = if answers == OK { disk.database } else { answers };
+    let database = if answers.database == OK { disk.database } else { answers.database };
     let checks: BTreeMap<String, String> = [
         ("database", database),
-        ("migrations", migrations(&state).await),
+        ("migrations", answers.migrations),
         ("blobs", disk.blobs),
         ("free_space", disk.space),
         ("draining", drain.to_owned()),
@@ -91,6 +128,10 @@ async fn check<E: std::error::Error + 'static>(
     }
 }
 
+async fn answers(state: &AppState) -> Answers {
+    Answers { database: database(state).await, migrations: migrations(state).await }
+}
+
 async fn database(state: &AppState) -> String {
     check(state.store().ping(), "it does not answer", |_| None).await
 }
@@ -104,14 +145,7 @@ async fn migrations(state: &AppState) -> String {
 }
 
 async fn disk(state: &AppState) -> Disk {
-    // Concurrent requests wait for the same checks.
-    let mut cached = state.checks.0.lock().await;
-    if let Some((at, disk)) = &*cached
-        && at.elapsed() < CACHE_TIME
-    {
-        return disk.clone();
-    }
-    let disk = Disk {
+    Disk {
         // A database may answer reads and fail writes: on a full disk, or behind a lock that is never released.
         database: check(state.store().probe(), "it cannot be written", |error: &StoreError| {
             error.is_disk_full().then_some("no room is left on its disk")
@@ -122,9 +156,7 @@ async fn disk(state: &AppState) -> Disk {
         })
         .await,
         space: space(state),
-    };
-    *cached = Some((Instant::now(), disk.clone()));
-    disk
+    }
 }
 
 fn space(state: &AppState) -> String {

@@ -219,11 +219,14 @@ pub(super) async fn readiness_names_what_is_wrong(coverage: Coverage) {
         (Failing::Migrated, &["migrations"]),
     ] {
         server.store.set(Some(failing));
-        let problem = server.get("/readyz").await.expect(503).json();
+        let problem = until_wrong(&server).await;
         assert_eq!(wrong(&problem), checks, "{problem:#}");
         server.store.set(None);
         server.until_ready().await;
     }
+    let before = server.store.pings();
+    futures_util::future::join_all((0..50).map(|_| server.get("/readyz"))).await;
+    assert!(server.store.pings() - before < 50, "requests at a time wait for one answer of the database");
     // A staging folder that is gone is one that cannot be written, also for root.
     let [staging, gone] = ["staging", "gone"].map(|name| server.data.path().join(name));
     std::fs::rename(&staging, &gone).expect("moved");
@@ -245,7 +248,7 @@ fn wrong(problem: &Value) -> Vec<&str> {
     wrong
 }
 
-/// Asks until what the disk said last is no longer told again.
+/// Asks until what was said last is no longer told again.
 async fn until_wrong(server: &Server) -> Value {
     loop {
         let answer = server.get("/readyz").await;

@@ -5,6 +5,7 @@ use tower::ServiceExt as _;
 
 use crate::support::{
     contract::Coverage,
+    eventually::eventually,
     faults::Failing,
     server::{Answer, Server},
 };
@@ -112,6 +113,7 @@ pub(super) async fn a_database_that_fails_is_a_problem_not_a_crash(coverage: Cov
             let detail = answer.expect_problem(status, kind);
             assert!(!detail.to_lowercase().contains("pool"), "what is inside stays inside: {detail}");
         }
+        eventually("it is not ready", async || server.get("/readyz").await.status == 503).await;
         server.get("/readyz").await.expect_problem(503, "not-ready");
         server.get("/healthz").await.expect(200);
         server.store.set(None);

@@ -51,6 +51,7 @@ pub struct FaultStore {
     failing: Mutex<Option<Failing>>,
     refused_ends: AtomicU32,
     largest_reads: AtomicU32,
+    pings: AtomicU32,
     /// What is still to be done.
     late: Mutex<Vec<BoxFuture<'static, ()>>>,
 }
@@ -62,6 +63,7 @@ impl FaultStore {
             failing: Mutex::new(None),
             refused_ends: AtomicU32::new(0),
             largest_reads: AtomicU32::new(0),
+            pings: AtomicU32::new(0),
             late: Mutex::default(),
         }
     }
@@ -79,6 +81,11 @@ impl FaultStore {
     /// How often a project's largest dataset was looked for.
     pub fn largest_reads(&self) -> u32 {
         self.largest_reads.load(Ordering::SeqCst)
+    }
+
+    /// How often the database was asked whether it answers.
+    pub fn pings(&self) -> u32 {
+        self.pings.load(Ordering::SeqCst)
     }
 
     fn guard<'a, T: Send + 'a>(&self, answer: StoreFuture<'a, T>) -> StoreFuture<'a, T> {
@@ -241,6 +248,7 @@ impl Store for FaultStore {
         self.inner.changes(kind)
     }
     fn ping(&self) -> StoreFuture<'_, ()> {
+        self.pings.fetch_add(1, Ordering::SeqCst);
         self.guard(self.inner.ping())
     }
 }
