@@ -80,6 +80,9 @@ pub trait Publications: Send + Sync + 'static {
         limit: u32,
     ) -> StoreFuture<'_, Vec<Digest>>;
 
+    /// Whether any blob is, or may be, in the bucket.
+    fn has_publications(&self) -> StoreFuture<'_, bool>;
+
     /// Marks a blob for removal; `None` if there is no such publication, or another removes it.
     fn begin_removal(&self, digest: Digest, which: Removable) -> StoreFuture<'_, Option<Removal>>;
 

@@ -90,6 +90,12 @@ pub enum BlobError {
         "the bucket is in use by another database; name another bucket, or another prefix: s3://BUCKET/PREFIX"
     )]
     OtherDatabase,
+    /// The database's blobs are in another bucket.
+    #[error(
+        "the bucket has none of this database's files: name the bucket and the prefix that they are in, or move them with 'tcgs backup' \
+         and 'tcgs restore --blobs'"
+    )]
+    OtherBucket,
     /// An I/O error.
     #[error("a file of the blob store cannot be read or written")]
     Io(#[from] io::Error),
@@ -188,7 +194,8 @@ impl Blobs {
     /// [`Blobs::open`].
     ///
     /// # Errors
-    /// [`BlobError::Bucket`] if it cannot be read and written, [`BlobError::OtherDatabase`], [`BlobError::Index`], [`BlobError::Io`].
+    /// [`BlobError::Bucket`] if it cannot be read and written, [`BlobError::OtherDatabase`], [`BlobError::OtherBucket`], [`BlobError::Index`],
+    /// [`BlobError::Io`].
     pub async fn open_bucket(
         data: &Path,
         bucket: Arc<dyn ObjectStore>,

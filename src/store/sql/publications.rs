@@ -109,6 +109,11 @@ impl Publications for SqlStore {
         }))
     }
 
+    fn has_publications(&self) -> StoreFuture<'_, bool> {
+        let first = query("SELECT 1 FROM publications LIMIT 1");
+        Box::pin(async move { Ok(first.optional(&self.readers, |_| Ok(())).await?.is_some()) })
+    }
+
     fn begin_removal(&self, digest: Digest, which: Removable) -> StoreFuture<'_, Option<Removal>> {
         Box::pin(self.write(async move |tx, now| {
             let (first, last) = match which {

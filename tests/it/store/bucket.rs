@@ -254,6 +254,23 @@ async fn a_bucket_belongs_to_one_database_and_a_database_to_one_place() {
 }
 
 #[tokio::test]
+async fn a_database_that_has_blobs_takes_no_other_empty_bucket_for_its_own() {
+    let Some(fixture) = Fixture::new().await else { return };
+    let server = S3Server::shared().expect("asked before");
+    let open_empty = async || {
+        let empty = server.connect(&server.prefix());
+        let store = Arc::new(fixture.database.open(fixture.clock.clone(), QueuePolicy::default()).await);
+        (Blobs::open_bucket(fixture.folder.path(), empty.clone(), store).await, empty)
+    };
+    open_empty().await.0.expect("nothing is anywhere yet");
+    fixture.queue(1, b"a dataset").await;
+    let (refused, empty) = open_empty().await;
+    assert!(matches!(refused, Err(BlobError::OtherBucket)), "{refused:?}");
+    assert!(empty.head(&ObjectPath::from("database")).await.is_err(), "it is not marked");
+    fixture.reopen().await.expect("its own bucket");
+}
+
+#[tokio::test]
 async fn a_publication_in_a_bucket_is_undone_only_if_it_created_the_blob_and_none_followed() {
     let Some(fixture) = Fixture::new().await else { return };
     let blobs = &fixture.blobs;

@@ -27,6 +27,14 @@ pub(super) async fn claim(objects: &dyn ObjectStore, identity: &str) -> Result<(
     }
 }
 
+/// Refuses a bucket that the database `identity` has not taken before.
+pub(super) async fn expect(objects: &dyn ObjectStore, identity: &str) -> Result<(), BlobError> {
+    match check(objects, identity).await {
+        Err(BlobError::Bucket(object_store::Error::NotFound { .. })) => Err(BlobError::OtherBucket),
+        known => known,
+    }
+}
+
 /// Takes the bucket for the database `identity`, whichever had it before.
 pub(super) async fn replace(objects: &dyn ObjectStore, identity: &str) -> Result<(), BlobError> {
     let replaced = objects.put(&at(), identity.to_owned().into_bytes().into()).await;

@@ -76,7 +76,12 @@ impl Bucket {
         index: Arc<dyn BucketIndex>,
     ) -> Result<Self, BlobError> {
         let identity = index.claim_place(BlobPlace::Bucket).await?;
-        marker::claim(&*objects, &identity).await?;
+        // A database that has blobs has a bucket: another one, named by mistake, would be taken for it and lack all of them.
+        if index.has_publications().await? {
+            marker::expect(&*objects, &identity).await?;
+        } else {
+            marker::claim(&*objects, &identity).await?;
+        }
         Ok(Self { objects, index, identity: identity.into() })
     }
 
