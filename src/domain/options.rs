@@ -609,6 +609,13 @@ mod tests {
         TrainOption::named(name).expect("an option").set(options, text)
     }
 
+    /// The options that are set by these names and values, checked.
+    fn validated(pairs: &[(&str, &str)]) -> Result<TrainOptions, OptionError> {
+        let mut options = TrainOptions::default();
+        pairs.iter().for_each(|(name, value)| set_option(&mut options, name, value).expect("parses"));
+        options.validated()
+    }
+
     #[test]
     fn options_are_set_by_name_and_faults_name_the_option() {
         let mut options = TrainOptions::default();
@@ -701,25 +708,20 @@ mod tests {
 
     #[test]
     fn options_that_a_model_has_no_use_for_are_refused() {
-        let set = |pairs: &[(&str, &str)]| {
-            let mut options = TrainOptions::default();
-            pairs.iter().for_each(|(name, value)| set_option(&mut options, name, value).expect("parses"));
-            options.validated()
-        };
         for (pairs, option) in [
             ([("model", "3dgs"), ("voxel", "0.1")], "voxel"),
             ([("model", "3dgs"), ("voxel", "published")], "voxel"),
             ([("model", "3dgs"), ("without", "masks")], "without"),
             ([("model", "scaffold"), ("without", "knn")], "without"),
         ] {
-            assert_eq!(set(&pairs).expect_err("of no use").option, option, "{pairs:?}");
+            assert_eq!(validated(&pairs).expect_err("of no use").option, option, "{pairs:?}");
         }
         for pairs in [
             [("model", "scaffold"), ("voxel", "0.1")],
             [("model", "3dgs"), ("voxel", "auto")],
             [("model", "3dgs"), ("plane_compression", "off")],
         ] {
-            assert!(set(&pairs).is_ok(), "{pairs:?}");
+            assert!(validated(&pairs).is_ok(), "{pairs:?}");
         }
     }
 
@@ -794,19 +796,14 @@ mod tests {
 
     #[test]
     fn a_target_size_is_for_the_method_alone() {
-        let set = |pairs: &[(&str, &str)]| {
-            let mut options = TrainOptions::default();
-            pairs.iter().for_each(|(name, value)| set_option(&mut options, name, value).expect("parses"));
-            options.validated()
-        };
-        assert_eq!(set(&[("max_bytes", "50000")]).expect("possible").max_bytes, Some(50_000));
+        assert_eq!(validated(&[("max_bytes", "50000")]).expect("possible").max_bytes, Some(50_000));
         for wrong in [
             &[("max_bytes", "0")][..],
             &[("max_bytes", "50000"), ("model", "scaffold")],
             &[("max_bytes", "50000"), ("model", "3dgs")],
             &[("max_bytes", "50000"), ("rd_curve", "0.001")],
         ] {
-            assert_eq!(set(wrong).expect_err("impossible").option, "max_bytes", "{wrong:?}");
+            assert_eq!(validated(wrong).expect_err("impossible").option, "max_bytes", "{wrong:?}");
         }
         for text in ["-1", "1e6", "5 MB", ""] {
             let fault = set_option(&mut TrainOptions::default(), "max_bytes", text).expect_err(text);
