@@ -361,6 +361,16 @@ impl Schedule {
         (1..=self.steps).filter(disturbs).collect()
     }
 
+    /// Whether the host is busy for long after `step`: with passes over the training views, or the choice of a context model.
+    pub(super) fn pauses_after(&self, step: u32) -> bool {
+        let rounds = |compression: &CompressionSchedule| {
+            compression.changes_stage_after(step) && compression.stage(step + 1) == Stage::Rounded
+        };
+        self.masks.is_some_and(|masks| masks.until == step)
+            || self.narrowing_estimates.contains(&step)
+            || self.compression.as_ref().is_some_and(rounds)
+    }
+
     /// The size that growth may reach: anchors, or plain Gaussians.
     pub(super) fn max_size(&self) -> usize {
         if self.model == ModelKind::Gaussians3d { self.plain.max_gaussians } else { self.max_anchors }

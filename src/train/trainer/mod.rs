@@ -370,8 +370,8 @@ impl<'a> Run<'a> {
             }
             // After the losses and the size of the step's own view were read, and before the checkpoint, which holds the score.
             self.score_views_aside()?;
-            // Before the report, which states its step.
-            if writer.wants(step) || step == self.last(goal) {
+            // Before the report, which states its step. A run that is cancelled in a long pause goes on from the step before it.
+            if writer.wants(step) || self.schedule.pauses_after(step + 1) || step == self.last(goal) {
                 writer.save(self);
             }
             if let Some(progress) = progress {
@@ -478,6 +478,7 @@ impl<'a> Run<'a> {
                 || step.number.is_multiple_of(REPORT_INTERVAL)
                 || before.len() >= max_steps
                 || self.model.adapts(&step)
+                || self.schedule.pauses_after(step.number + 1)
                 || wanted(step.number);
             if !is_last {
                 continue;

@@ -5,6 +5,7 @@ use super::*;
 use crate::{
     domain::{Camera, Digest, Image, Intrinsics, Layout, PointCloud, Pose},
     gpu::testing::lavapipe,
+    train::CheckpointError,
 };
 
 /// Growth comes at step 25; noise after 5, the context model after 18, and everything is rounded after 46.
@@ -124,6 +125,64 @@ fn the_choice_of_a_context_model_does_not_keep_a_cancelled_run_waiting() {
     };
     assert!(matches!(ended, TrainError::Cancelled), "{ended}");
     assert!(run.state.step > STEPS / 2, "single steps are not asked");
+}
+
+/// Keeps the last checkpoint, and cancels the run while a step is under way.
+struct CancelAfter<'a> {
+    step: u32,
+    flag: &'a CancelFlag,
+    saved: Option<Checkpoint>,
+}
+
+impl CheckpointSink for CancelAfter<'_> {
+    fn wants(&mut self, step: u32) -> bool {
+        if step == self.step {
+            self.flag.cancel();
+        }
+        false
+    }
+
+    fn save(&mut self, checkpoint: &Checkpoint) -> std::result::Result<(), CheckpointError> {
+        let mut bytes = Vec::new();
+        checkpoint.write(&mut bytes).expect("memory takes it");
+        self.saved = Some(Checkpoint::from_bytes(&bytes).expect("read"));
+        Ok(())
+    }
+}
+
+#[test]
+fn no_step_is_lost_of_a_run_that_is_cancelled_whenever_it_is() {
+    let (device, dataset) = (lavapipe(), dataset());
+    let options =
+        TrainOptions { iterations: Some(STEPS), seed: 3, max_bytes: Some(6_000), ..TrainOptions::default() };
+    let budget = MemoryBudget { host: u64::MAX, gpu: u64::MAX };
+    let begin = |resume| {
+        let mut run = Run::new(&device, &dataset, &options, &budget, resume).expect("begins");
+        run.batch = Batch::Fixed(8);
+        run
+    };
+    let finished = |mut run: Run<'_>| {
+        run.run_until(Goal::End, None, &mut |_| (), &CancelFlag::default()).expect("ends");
+        run.finish(&CancelFlag::default()).expect("a scene").scene
+    };
+    let whole = begin(None);
+    let pauses: Vec<u32> = (1..STEPS).filter(|step| whole.schedule.pauses_after(*step)).collect();
+    assert!(pauses.len() > 2, "{pauses:?}");
+    let mut resumed: Option<Checkpoint> = None;
+    for step in 1..STEPS {
+        if resumed.as_ref().is_some_and(|checkpoint| checkpoint.step() >= step) {
+            continue;
+        }
+        let flag = CancelFlag::default();
+        let mut sink = CancelAfter { step, flag: &flag, saved: None };
+        let ended = begin(resumed.take()).run_until(Goal::End, Some(&mut sink), &mut |_| (), &flag);
+        // The last batch ends the run.
+        assert!(matches!(ended, Ok(()) | Err(TrainError::Cancelled)), "{step}: {ended:?}");
+        let saved = sink.saved.expect("a checkpoint");
+        assert!(saved.step() >= step, "cancelled after step {step} of which {} are kept", saved.step());
+        resumed = Some(saved);
+    }
+    assert!(finished(begin(resumed)) == finished(whole), "another scene");
 }
 
 #[test]
