@@ -34,7 +34,7 @@ fn run(options: &TrainOptions) -> (JobOutput, Decoded) {
 /// Steps, feature width, offsets an anchor, most anchors and weight of the rate, as `docs/SCHEDULE.md` states them.
 const PRESETS: [(Preset, u32, usize, usize, usize, f64); 3] = [
     (Preset::Preview, 2_000, 32, 4, 40_000, 0.0005),
-    (Preset::Standard, 10_000, 50, 10, 200_000, 0.001),
+    (Preset::Standard, 10_000, 50, 10, 200_000, 0.0005),
     (Preset::Paper, 30_000, 50, 10, 400_000, 0.001),
 ];
 
