@@ -58,5 +58,5 @@ fn image_gradient(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation
         }
     }
     // After the shares of SSIM.
-    losses[3u * image.size.x * runs(image, image.size.y) + index] = vec4f(0.0, total(absolute), total(squared), 0.0);
+    losses[3u * image.size.x * runs(image, image.size.y) + run.share] = vec4f(0.0, total(absolute), total(squared), 0.0);
 }

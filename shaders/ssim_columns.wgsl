@@ -81,5 +81,5 @@ fn ssim_columns(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_i
             derivatives[to.w] = sums[3];
         }
     }
-    losses[index] = vec4f(total(ssim), 0.0, 0.0, 0.0);
+    losses[run.share] = vec4f(total(ssim), 0.0, 0.0, 0.0);
 }

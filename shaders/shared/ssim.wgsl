@@ -17,6 +17,8 @@ struct Image {
     size: vec4u,
     // weight of L1 a sample, weight of SSIM a sample, unused, unused
     weights: vec4f,
+    // first channel and number of channels of this dispatch, which the fields have room for; unused, unused
+    channels: vec4u,
 }
 
 // The part of a line of one channel that an invocation computes: `first` up to, not including, `last`.
@@ -25,6 +27,8 @@ struct Run {
     line: u32,
     first: i32,
     last: i32,
+    // Index among the runs of all channels.
+    share: u32,
 }
 
 // Runs in lines of `length` samples.
@@ -36,9 +40,11 @@ fn runs(image: Image, length: u32) -> u32 {
 fn run_of(image: Image, index: u32, lines: u32, length: u32) -> Run {
     let runs = runs(image, length);
     let row = index / lines;
-    let channel = row / runs;
-    let first = (row - channel * runs) * image.size.z;
-    return Run(min(channel, 3u), index - row * lines, i32(first), i32(min(first + image.size.z, length)));
+    let place = row / runs;
+    let channel = select(3u, image.channels.x + place, place < image.channels.y);
+    let first = (row - place * runs) * image.size.z;
+    let share = image.channels.x * lines * runs + index;
+    return Run(channel, index - row * lines, i32(first), i32(min(first + image.size.z, length)), share);
 }
 
 // Four samples in line, of which the first is `at`.
@@ -59,7 +65,7 @@ fn held(at: vec4i, length: u32) -> vec4u {
 fn places(image: Image, channel: u32, columns: vec4u) -> vec4u {
     let blocks = (image.size.x + BLOCK - 1u) / BLOCK;
     let rows = (image.size.y + 3u) / 4u * 4u;
-    return (channel * blocks + columns / BLOCK) * rows * BLOCK + columns % BLOCK;
+    return ((channel - image.channels.x) * blocks + columns / BLOCK) * rows * BLOCK + columns % BLOCK;
 }
 
 // The last ten samples of a line.

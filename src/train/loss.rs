@@ -18,11 +18,15 @@ const SUM_RUN: usize = 4096;
 const BLOCK: usize = 8;
 const STRIDE: usize = 4;
 
+/// Channels of an image.
+const CHANNELS: u32 = 3;
+
 #[repr(C)]
 #[derive(Debug, Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]
 struct ImageUniform {
     size: [u32; 4],
     weights: [f32; 4],
+    channels: [u32; 4],
 }
 
 #[repr(C)]
@@ -67,17 +71,26 @@ struct Division {
     size: [u32; 2],
     /// Pixels in line that an invocation makes; a multiple of `STRIDE`.
     run: u32,
+    /// Channels at a time.
+    channels: u32,
 }
 
 impl Division {
-    /// Invocations that go along rows, each along one channel.
-    fn by_rows(self) -> u32 {
-        3 * self.size[1] * self.size[0].div_ceil(self.run)
+    /// All channels at a time where the adapter binds their fields, or else one, whose bits do not depend on the others.
+    fn of(size: [u32; 2], run: u32, adapter: &AdapterReport) -> Self {
+        let whole = Self { size, run, channels: CHANNELS };
+        let fits = buffer_bytes::<[f32; 4]>(whole.field()) <= binding_limit(adapter);
+        if fits { whole } else { Self { channels: 1, ..whole } }
     }
 
-    /// Invocations that go along columns.
+    /// Invocations that go along the rows of a channel.
+    fn by_rows(self) -> u32 {
+        self.size[1] * self.size[0].div_ceil(self.run)
+    }
+
+    /// Invocations that go along the columns of a channel.
     fn by_columns(self) -> u32 {
-        3 * self.size[0] * self.size[1].div_ceil(self.run)
+        self.size[0] * self.size[1].div_ceil(self.run)
     }
 
     /// Blocks of the wavelet constraint.
@@ -87,7 +100,7 @@ impl Division {
 
     /// Each invocation's share of the losses that are always there.
     fn shares(self) -> u32 {
-        self.by_columns() + self.by_rows()
+        CHANNELS * (self.by_columns() + self.by_rows())
     }
 
     fn max_shares(self) -> usize {
@@ -103,11 +116,16 @@ impl Division {
         self.size[0] as usize * self.size[1] as usize
     }
 
-    /// Elements of a field of all channels.
+    /// Elements of a field.
     fn field(self) -> usize {
         let [width, height] = self.size.map(|side| side as usize);
-        3 * width.next_multiple_of(BLOCK) * height.next_multiple_of(STRIDE)
+        self.channels as usize * width.next_multiple_of(BLOCK) * height.next_multiple_of(STRIDE)
     }
+}
+
+/// Bytes of the largest buffer.
+fn binding_limit(adapter: &AdapterReport) -> u64 {
+    adapter.max_binding_bytes.min(adapter.max_buffer_bytes)
 }
 
 /// Buffers of the last images; those of smaller images have room to spare.
@@ -199,13 +217,14 @@ impl ImageLoss {
         adapter.variant.choose(256, 16)
     }
 
-    /// Bytes on the device once images of `size` were compared.
+    /// Bytes on the device once images of up to `size` were compared, at most.
     #[must_use]
     pub fn bytes(adapter: &AdapterReport, size: [u32; 2]) -> u64 {
-        let division = Division { size, run: Self::run(adapter) };
-        buffer_bytes::<ImageUniform>(1)
-            + buffer_bytes::<ConstraintUniform>(1)
-            + Fields::plan(division, None).bytes()
+        let division = Division::of(size, Self::run(adapter), adapter);
+        let fields = Fields::plan(division, None).bytes();
+        // Smaller images whose channels go at once may have larger fields.
+        let smaller = if division.channels < CHANNELS { 2 * binding_limit(adapter) } else { 0 };
+        buffer_bytes::<ImageUniform>(1) + buffer_bytes::<ConstraintUniform>(1) + fields.max(smaller)
     }
 
     /// Records the loss of `render` against `photograph` (packed 8-bit RGB, one word a pixel) and its gradient;
@@ -218,31 +237,47 @@ impl ImageLoss {
         photograph: &[u32],
         wavelet: Option<&WaveletWeights>,
     ) -> Result<&Buffer<[f32; 4]>, GpuError> {
-        let division = Division { size, run: self.run };
+        let division = Division::of(size, self.run, self.device.adapter());
         let fields = Fields::plan(division, self.fields.as_ref()).make(&self.device)?;
         let fields = &*self.fields.insert(fields);
         recorder.write(&fields.photograph, photograph);
         let samples = (3 * division.pixels()) as f64;
         let blocks = if wavelet.is_some() { division.blocks() } else { 0 };
-        let uniform = recorder.uniform(&[ImageUniform {
+        let image = ImageUniform {
             size: [size[0], size[1], division.run, division.shares() + blocks],
             weights: [((1.0 - SSIM_WEIGHT) / samples) as f32, (SSIM_WEIGHT / samples) as f32, 0.0, 0.0],
-        }])?;
-        recorder.dispatch(
-            &self.kernels.rows,
-            &[&uniform, render, &fields.photograph, &fields.moments],
-            division.by_rows().div_ceil(64),
-        );
-        recorder.dispatch(
-            &self.kernels.columns,
-            &[&uniform, &fields.moments, &fields.derivatives, &fields.losses],
-            division.by_columns().div_ceil(64),
-        );
-        recorder.dispatch(
-            &self.kernels.gradient,
-            &[&uniform, render, &fields.photograph, &fields.derivatives, &fields.losses, &fields.gradient],
-            division.by_rows().div_ceil(64),
-        );
+            channels: [0, division.channels, 0, 0],
+        };
+        let mut uniform = recorder.uniform(&[image])?;
+        let [by_rows, by_columns] = [division.by_rows(), division.by_columns()]
+            .map(|invocations| (division.channels * invocations).div_ceil(64));
+        for first in (0..CHANNELS).step_by(division.channels as usize) {
+            if first > 0 {
+                uniform = recorder.uniform(&[ImageUniform { channels: [first, 1, 0, 0], ..image }])?;
+            }
+            recorder.dispatch(
+                &self.kernels.rows,
+                &[&uniform, render, &fields.photograph, &fields.moments],
+                by_rows,
+            );
+            recorder.dispatch(
+                &self.kernels.columns,
+                &[&uniform, &fields.moments, &fields.derivatives, &fields.losses],
+                by_columns,
+            );
+            recorder.dispatch(
+                &self.kernels.gradient,
+                &[
+                    &uniform,
+                    render,
+                    &fields.photograph,
+                    &fields.derivatives,
+                    &fields.losses,
+                    &fields.gradient,
+                ],
+                by_rows,
+            );
+        }
         if let Some(weights) = wavelet {
             let constraint = recorder.uniform(&[ConstraintUniform::new(size, division.shares(), weights)])?;
             recorder.dispatch(

@@ -163,6 +163,21 @@ fn the_loss_matches_the_twin_however_an_image_is_divided() {
     }
 }
 
+/// As of upright photographs of three megapixels where 128 MiB are bound.
+#[test]
+fn channels_that_fit_only_one_at_a_time_give_the_same_bits() {
+    let pair = Pair::noise(6, 97, 65);
+    let whole = on_device(&mut ImageLoss::new(gpu()).expect("the kernels"), &pair);
+    let device = gpu_with(DeviceSettings { max_binding_bytes: Some(200_000), ..DeviceSettings::default() });
+    let mut loss = ImageLoss::new(Arc::clone(&device)).expect("the kernels");
+    assert!(on(&device, &mut loss, &pair) == whole);
+    // Smaller images go at once, larger ones again in parts.
+    let small = Pair::noise(8, 40, 30);
+    let expected = on_device(&mut ImageLoss::new(gpu()).expect("the kernels"), &small);
+    assert!(on(&device, &mut loss, &small) == expected);
+    assert!(on(&device, &mut loss, &pair) == whole);
+}
+
 #[test]
 fn the_loss_matches_the_twin_on_smooth_images() {
     let mut loss = ImageLoss::new(gpu()).expect("the kernels");
