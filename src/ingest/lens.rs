@@ -134,13 +134,14 @@ fn focal_of(fov: f64, side: f64) -> f64 {
     if fov > 0.0 && fov < std::f64::consts::PI { side / (2.0 * (fov / 2.0).tan()) } else { 0.0 }
 }
 
+/// Whether one scale brings both stated sides to the actual ones, each of which was rounded to whole pixels.
 fn fits(actual: (u32, u32), stated: (u32, u32)) -> bool {
-    let scale = f64::from(actual.0) / f64::from(stated.0);
-    let even_height = f64::from(stated.1) * scale;
-    actual == stated
-        || (actual.0 < stated.0
-            && actual.1 <= stated.1
-            && (f64::from(actual.1) - even_height).abs() <= ROUNDING)
+    let scales = |actual: u32, stated: u32| {
+        [-ROUNDING, ROUNDING].map(|rounding| (f64::from(actual) + rounding) / f64::from(stated))
+    };
+    let (across, down) = (scales(actual.0, stated.0), scales(actual.1, stated.1));
+    let smaller = actual.0 < stated.0 && actual.1 <= stated.1;
+    actual == stated || (smaller && across[0] <= down[1] && down[0] <= across[1])
 }
 
 #[cfg(test)]
@@ -163,6 +164,9 @@ mod tests {
         let same = lens((800, 600)).intrinsics((800, 600)).expect("same size");
         assert_eq!((same.fx, same.cx, same.cy), (800.0, 410.0, 300.0));
         assert!(lens((1001, 667)).intrinsics((250, 166)).is_ok(), "a quarter, rounded down");
+        // The rounded width is half a pixel too small, which is more than a pixel of the height.
+        assert!(lens((3286, 4945)).intrinsics((822, 1236)).is_ok(), "an upright quarter, rounded");
+        assert!(lens((3286, 4945)).intrinsics((822, 1230)).is_err());
         for actual in [(400, 290), (1600, 1200), (799, 600), (800, 599), (400, 600)] {
             let error = lens((800, 600)).intrinsics(actual);
             // One pixel is within rounding only when the width shrank too.

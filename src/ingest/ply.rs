@@ -95,24 +95,34 @@ pub(super) fn points(reader: &mut dyn BufRead, length: u64, cloud: &mut Points) 
         }
     }
     if let Some(scalar) = scalar.filter(|_| has_scale) {
-        let factor = factor(scalar, unscaled.iter().flatten().copied().fold(0.0, f32::max));
+        let factor = factor(scalar, unscaled.as_flattened());
         cloud.recolor(unscaled.iter().map(|color| color.map(|value| to_8_bits(value, factor))));
     }
     Ok(())
 }
 
-/// Factor to 0 to 255 of channels of one type, whose largest value is `largest`.
-fn factor(scalar: Scalar, largest: f32) -> f32 {
+/// Factor to 0 to 255 of channels of one type.
+fn factor(scalar: Scalar, channels: &[f32]) -> f32 {
     // Channels of spherical harmonics and of high dynamic range are a little above 1.
     const OVERSHOOT: f32 = 2.0;
-    let fraction = matches!(scalar, Scalar::F32 | Scalar::F64) && largest <= OVERSHOOT;
-    if fraction {
+    let float = matches!(scalar, Scalar::F32 | Scalar::F64);
+    // Integers cannot exceed their range; of floats a few do, and must not darken all others.
+    let largest = if float { usual_largest(channels) } else { channels.iter().copied().fold(0.0, f32::max) };
+    if float && largest <= OVERSHOOT {
         255.0
     } else if largest > 255.0 {
         1.0 / 257.0
     } else {
         1.0
     }
+}
+
+/// The value that one in a hundred of the finite ones exceeds.
+fn usual_largest(channels: &[f32]) -> f32 {
+    let mut finite: Vec<f32> = channels.iter().copied().filter(|value| value.is_finite()).collect();
+    let Some(last) = finite.len().checked_sub(1) else { return 0.0 };
+    let (_, value, _) = finite.select_nth_unstable_by(last - last / 100, f32::total_cmp);
+    *value
 }
 
 fn to_8_bits(value: f32, factor: f32) -> u8 {
@@ -231,6 +241,18 @@ mod tests {
                 [[255, 7, 3], [0, 1, 128]],
                 "{scalar}"
             );
+        }
+    }
+
+    #[test]
+    fn a_few_bright_points_darken_no_others() {
+        let fractions = PLAIN.replace("uchar", "float");
+        let others = "0 0 0 0.5 0.25 1\n".repeat(99);
+        for bright in ["3.5", "inf", "1e9"] {
+            let data = format!("{others}0 0 0 {bright} 0.5 0\n");
+            let text = String::from_utf8(file("ascii", &fractions, data.as_bytes())).expect("text");
+            let cloud = points(text.replace("vertex 2", "vertex 100").as_bytes()).expect("points");
+            assert_eq!((cloud.colors[0], cloud.colors[99]), ([128, 64, 255], [255, 128, 0]), "{bright}");
         }
     }
 

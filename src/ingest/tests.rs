@@ -74,6 +74,38 @@ fn without_a_test_file_validation_or_every_eighth_image_is_held_out() {
 }
 
 #[test]
+fn a_test_file_without_frames_is_none() {
+    let empty = blender().with("transforms_test.json", r#"{"camera_angle_x": 0.8, "frames": []}"#);
+    let validated = load(&empty.directory().path).expect("a dataset");
+    assert_eq!(names(&validated, Split::Test), ["val/r_0"]);
+    let note = "transforms_test.json has no frames: transforms_val.json is held out instead";
+    assert!(validated.notes.iter().any(|found| found == note), "{:?}", validated.notes);
+    let alone = load(&empty.without("transforms_val.json").directory().path).expect("a dataset");
+    assert_eq!(names(&alone, Split::Test), ["train/r_0"]);
+}
+
+#[test]
+fn paths_and_sides_are_understood_as_exporters_on_windows_write_them() {
+    let written = blender().edited("transforms_train.json", "./train/r_0", r"train\\r_0").edited(
+        "transforms_train.json",
+        "0.8,",
+        "0.8, \"w\": 8.000000000000002, \"h\": 5.999999999999999,",
+    );
+    let dataset = load(&written.directory().path).expect("a dataset");
+    assert_eq!(names(&dataset, Split::Train), ["train/r_0", "train/r_1"]);
+    assert_refused(
+        &blender().edited("transforms_train.json", "0.8,", "0.8, \"w\": 8.4, \"h\": 6,"),
+        "transforms_train.json",
+        "whole number",
+    );
+    assert_refused(
+        &blender().edited("transforms_train.json", "./train/r_0", r"..\\train\\r_0"),
+        "transforms_train.json",
+        "..",
+    );
+}
+
+#[test]
 fn nerfstudio_and_colmap_hold_out_every_eighth_image_by_name() {
     for (set, test, points) in
         [(nerfstudio(), ["images/0.png", "images/8.png"], 1), (colmap(), ["0.png", "8.png"], 2)]

@@ -6,7 +6,7 @@
 //! poses and the points of `ply_file_path` are both written after it, so they already agree and it is not
 //! applied again: scenes are trained, and views asked for, in the frame that the file's poses are in.
 
-use std::collections::BTreeSet;
+use std::{borrow::Cow, collections::BTreeSet};
 
 use glam::{DMat4, DVec4};
 
@@ -30,6 +30,9 @@ pub(super) const TRAIN: &str = "transforms_train.json";
 const TEST: &str = "transforms_test.json";
 const VALIDATION: &str = "transforms_val.json";
 
+/// What a side may differ by from a whole number of pixels.
+const WHOLE: f64 = 1e-6;
+
 /// Camera models whose distortion is the polynomial that [`Distortion`] holds.
 const POLYNOMIAL_MODELS: [&str; 5] = ["OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL"];
 
@@ -40,17 +43,25 @@ const POLYNOMIAL_MODELS: [&str; 5] = ["OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SI
 pub(super) fn blender(tree: &Tree) -> Result<Plan, IngestError> {
     let mut plan = Plan::new(Layout::Blender);
     add_frames(&mut plan, tree, TRAIN, &read(tree, TRAIN)?, Split::Train)?;
-    if tree.has(TEST) {
-        add_frames(&mut plan, tree, TEST, &read(tree, TEST)?, Split::Test)?;
+    // An exporter may write a file without frames for programs that insist on one.
+    let listed = |file: &str| {
+        let document = tree.has(file).then(|| read(tree, file)).transpose()?;
+        Ok::<_, IngestError>(document.filter(|document| !document.frames.is_empty()))
+    };
+    if let Some(test) = listed(TEST)? {
+        add_frames(&mut plan, tree, TEST, &test, Split::Test)?;
         if tree.has(VALIDATION) {
             plan.notes.push(format!("{VALIDATION} is not used: {TEST} is what is held out"));
         }
-    } else if tree.has(VALIDATION) {
-        add_frames(&mut plan, tree, VALIDATION, &read(tree, VALIDATION)?, Split::Test)?;
-        plan.notes.push(format!("there is no {TEST}: {VALIDATION} is held out instead"));
     } else {
-        plan.hold_out();
-        plan.notes.push(format!("there is no {TEST}: every 8th image by name is held out"));
+        let missing = if tree.has(TEST) { "has no frames" } else { "is missing" };
+        if let Some(validation) = listed(VALIDATION)? {
+            add_frames(&mut plan, tree, VALIDATION, &validation, Split::Test)?;
+            plan.notes.push(format!("{TEST} {missing}: {VALIDATION} is held out instead"));
+        } else {
+            plan.hold_out();
+            plan.notes.push(format!("{TEST} {missing}: every 8th image by name is held out"));
+        }
     }
     plan.ordered(TRAIN)
 }
@@ -67,7 +78,8 @@ pub(super) fn nerfstudio(tree: &Tree) -> Result<Plan, IngestError> {
     split(&mut plan, &document)?;
     match &document.ply_file_path {
         Some(path) => {
-            let name = safe_name(path).map_err(|error| {
+            let portable = portable(path);
+            let name = safe_name(&portable).map_err(|error| {
                 field("/ply_file_path".to_owned(), format!("'{path}': {error}")).at(TRANSFORMS)
             })?;
             let points = tree.parse(name, u64::MAX, |reader, length| {
@@ -105,7 +117,7 @@ fn add_frames(
         if frame.masked {
             return Err(IngestErrorKind::Masks { place: format!("at {place}/mask_path") }.at(file));
         }
-        let found = images.find("", &frame.file_path, &format!("{place}/file_path"))?;
+        let found = images.find("", &portable(&frame.file_path), &format!("{place}/file_path"))?;
         let pose = pose(frame.transform_matrix, &place).map_err(|error| error.at(file))?;
         let lens = lens(&frame.camera, &document.camera, &place).map_err(|error| error.at(file))?;
         let lens = plan.lens(lens);
@@ -127,7 +139,7 @@ fn split(plan: &mut Plan, document: &Document) -> Result<(), IngestError> {
         let known: BTreeSet<&str> = plan.frames.iter().map(|frame| frame.name.as_str()).collect();
         let mut listed = BTreeSet::new();
         for stated in names.iter().flat_map(|names| &names.0) {
-            match safe_name(stated) {
+            match safe_name(&portable(stated)) {
                 Ok(name) if known.contains(name) => listed.insert(name.to_owned()),
                 _ => return Err(IngestErrorKind::UnknownFrame { list, name: stated.clone() }.at(TRANSFORMS)),
             };
@@ -153,6 +165,11 @@ fn split(plan: &mut Plan, document: &Document) -> Result<(), IngestError> {
         plan.notes.push(format!("{unused} frames are in no split list that is used and are left out"));
     }
     Ok(())
+}
+
+/// A path as it is written on other systems than Windows. A backslash is part of no other name that is accepted.
+fn portable(path: &str) -> Cow<'_, str> {
+    if path.contains('\\') { path.replace('\\', "/").into() } else { path.into() }
 }
 
 fn pose(rows: Matrix, place: &str) -> Result<Pose> {
@@ -218,10 +235,11 @@ fn lens(frame: &CameraFields, shared: &CameraFields, place: &str) -> Result<Lens
     Ok(lens)
 }
 
-/// A side in pixels. Some converters write it as `1920.0`.
+/// A side in pixels. Some converters write it as `1920.0`, or as the product of a side and a scale, such as `503.99999999999994`.
 fn side(value: f64, place: &str, name: &str) -> Result<u32> {
-    if value.fract() == 0.0 && (1.0..=f64::from(u32::MAX)).contains(&value) {
-        Ok(value as u32)
+    let whole = value.round();
+    if (value - whole).abs() <= WHOLE && (1.0..=f64::from(u32::MAX)).contains(&whole) {
+        Ok(whole as u32)
     } else {
         Err(field(
             place.to_owned(),
