@@ -10,8 +10,8 @@ use std::{
 use rand::SeedableRng;
 use serde_json::{Value, json};
 use tcgs::{
-    domain::{AnchorScene, Background, GaussianScene, Lattice},
-    export::{SpzVersion, anchors, from_ply, from_spz, to_spz},
+    domain::{AnchorScene, Background, GaussianScene, Lattice, NearPlane},
+    export::{PlyNote, SpzVersion, anchors, from_ply, from_spz, to_ply, to_spz},
     model::{AnchorRows, NetworkLayout, Shape},
     sample::{self, Settings},
 };
@@ -178,6 +178,21 @@ fn plain_gaussians_go_from_one_format_to_the_other_and_lower_degrees_are_smaller
     let said = answers(line!["export", source, "--format", "spz", "-o", at("a.spz"), "--json"]);
     assert!(said["baked"].is_null());
     assert!(number(&said["quality"]["psnr_to_source"]) > 30.0, "{said}");
+}
+
+/// A `.spz` does not say from where on a scene is seen.
+#[test]
+fn an_export_of_a_tiny_scene_is_compared_from_its_own_near_plane() {
+    const SMALLER: f32 = 0.01;
+    let folder = tempfile::tempdir().expect("a folder");
+    let mut scene = from_ply(&bytes_of(interop("gaussians.ply"))).expect("reads");
+    scene.means.as_flattened_mut().iter_mut().for_each(|value| *value *= SMALLER);
+    scene.log_scales.as_flattened_mut().iter_mut().for_each(|value| *value += SMALLER.ln());
+    let note = PlyNote { background: Background::Black, dataset: None, near: NearPlane::of_extent(SMALLER) };
+    let source = folder.path().join("tiny.ply");
+    std::fs::write(&source, note.add_to(to_ply(&scene))).expect("writes");
+    let said = answers(line!["export", source, "-o", folder.path().join("tiny.spz"), "--json"]);
+    assert!(number(&said["quality"]["psnr_to_source"]) > 25.0, "{said}");
 }
 
 #[test]

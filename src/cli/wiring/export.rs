@@ -186,10 +186,13 @@ pub(super) fn fidelity(
     Ok((views > 0).then(|| ExportFidelity { psnr: sum / f64::from(views), views }))
 }
 
-/// An exported file's scene, rendered on the source's `background`, which not every format stores.
+/// An exported file's scene, rendered on the source's `background` and from its near plane, which not every format stores.
 fn exported_beside(source: &Renderer, exported: &[u8], background: Background) -> Result<Renderer, Problem> {
     let mut file = scene_file::read(exported)?;
     file.background = background;
+    if let Scene::Gaussians(scene) = &mut file.scene {
+        scene.near = source.viewable.scene.near();
+    }
     Ok(source.beside(file))
 }
 
