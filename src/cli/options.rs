@@ -4,7 +4,7 @@ use clap::{
     Arg, ArgAction, ArgMatches, Args, Command, Error, FromArgMatches, builder::PossibleValuesParser,
     error::ErrorKind,
 };
-use tcgs::domain::{TRAIN_OPTIONS, TrainOption, TrainOptions, options::OptionKind};
+use tcgs::domain::{Bytes, TRAIN_OPTIONS, TrainOption, TrainOptions, options::OptionKind};
 
 use super::CliError;
 
@@ -73,6 +73,9 @@ fn flag(row: &'static TrainOption) -> Arg {
         OptionKind::Choices(names) => list(flag).value_parser(PossibleValuesParser::new(names)),
         OptionKind::Positives(_) => list(flag).value_parser(is_of_kind),
         OptionKind::Integer(..) => flag.value_name("N").value_parser(is_of_kind),
+        OptionKind::Bytes => flag
+            .value_name("BYTES")
+            .value_parser(move |text: &str| is_of_kind(&text.parse::<Bytes>()?.0.to_string())),
         OptionKind::Positive | OptionKind::ChoiceOrPositive(_) => {
             flag.value_name("X").value_parser(is_of_kind)
         }
@@ -108,6 +111,8 @@ mod tests {
         assert_eq!(options.preset, Preset::Standard);
         assert_eq!((options.iterations, options.seed), (Some(900), 7));
         assert_eq!(options.background, Background::White);
+        let sized = parse(&["--max-bytes", "500kB"]).validated().expect("possible");
+        assert_eq!(sized.max_bytes, Some(500_000));
         for flags in [["--iterations", "0"], ["--lambda", "0"], ["--max-bytes", "0"]] {
             let failure = parse(&flags).validated().expect_err("impossible");
             assert_eq!(failure.exit_status(), 2);

@@ -357,6 +357,8 @@ pub enum OptionKind {
     Choices(&'static [&'static str]),
     /// A whole number from the first to the second.
     Integer(u64, u64),
+    /// A whole number of bytes, which the command line also takes with a unit.
+    Bytes,
     /// A positive number.
     Positive,
     /// At most so many different positive numbers, separated by commas, perhaps in brackets.
@@ -371,6 +373,7 @@ impl fmt::Display for OptionKind {
             OptionKind::Choice(names) => write!(f, "one of {}", names.join(", ")),
             OptionKind::Choices(names) => write!(f, "a list of {}", names.join(", ")),
             OptionKind::Integer(least, most) => write!(f, "a whole number in {least}..={most}"),
+            OptionKind::Bytes => f.write_str("a whole number of bytes"),
             OptionKind::Positive => f.write_str("a positive number"),
             OptionKind::Positives(most) => write!(f, "a list of at most {most} positive numbers"),
             OptionKind::ChoiceOrPositive(names) => write!(f, "{} or a positive number", names.join(", ")),
@@ -569,7 +572,7 @@ pub static TRAIN_OPTIONS: [TrainOption; 13] = [
     },
     TrainOption {
         name: "max_bytes",
-        kind: OptionKind::Integer(1, u64::MAX),
+        kind: OptionKind::Bytes,
         default: None,
         help: Some("Largest size of the file: coarser quantisation and pruning make it fit"),
         set: |options, text| text.parse().ok().map(|bytes| options.max_bytes = Some(bytes)),

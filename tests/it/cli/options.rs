@@ -24,6 +24,7 @@ fn schema(kind: OptionKind) -> Value {
             }
             schema
         }
+        OptionKind::Bytes => json!({ "type": "integer", "minimum": 1 }),
         OptionKind::Positive => positive,
         OptionKind::Positives(most) => {
             json!({ "type": "array", "maxItems": most, "uniqueItems": true, "items": positive })
