@@ -25,6 +25,7 @@ pub(crate) struct Args {
 /// Decodes and writes.
 pub(crate) fn run(args: &Args) -> Result<Report, CliError> {
     let in_file = |problem: Problem| problem.in_file(args.file.display().to_string());
+    files::check_output(&args.output, &args.file, &["safetensors"])?;
     let decoded = wiring::read(&files::read(&args.file)?).map_err(in_file)?;
     let bytes = wiring::tensors(&decoded).map_err(in_file)?;
     files::write(&args.output, &bytes)?;

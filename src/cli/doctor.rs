@@ -8,7 +8,7 @@ use tcgs::{
     gpu::{self, AdapterReport},
 };
 
-use super::{CliError, Report};
+use super::{CliError, Report, notice::notice};
 
 /// Arguments of `tcgs doctor`.
 #[derive(Debug, clap::Args)]
@@ -42,7 +42,7 @@ pub(crate) fn run(args: &Args) -> Result<Report, CliError> {
         return Ok(Report::new(text(&machine), &machine));
     }
     if !args.json {
-        eprintln!("{}", text(&machine));
+        notice(text(&machine));
     }
     let detail = machine.advice.join("; ");
     Err(Problem::new(ProblemType::NoAdapter, detail).into())

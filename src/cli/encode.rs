@@ -40,6 +40,7 @@ fn step(text: &str) -> Result<f32, String> {
 
 /// Encodes and writes.
 pub(crate) fn run(args: &Args) -> Result<Report, CliError> {
+    files::check_output(&args.output, &args.input, &["tcgs"])?;
     let file = wiring::anchors(&files::read(&args.input)?)
         .map_err(|problem| problem.in_file(args.input.display().to_string()))?;
     let settings = EncodeSettings {

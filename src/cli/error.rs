@@ -24,9 +24,14 @@ pub(crate) enum CliError {
         /// Printed instead with `--json`.
         json: serde_json::Value,
     },
-    /// Stopped by the user.
-    #[error("stopped")]
-    Stopped,
+    /// Stopped by a signal.
+    #[error("stopped; {advice}")]
+    Stopped {
+        /// Exit status of a process that the signal ends.
+        status: u8,
+        /// How to go on.
+        advice: String,
+    },
 }
 
 impl CliError {
@@ -44,13 +49,14 @@ impl CliError {
             .into()
     }
 
-    /// The exit status: 2 wrong usage, 3 the input was refused, 4 a resource was missing or spent, 1 anything else.
+    /// The exit status: 2 wrong usage, 3 the input was refused, 4 a resource was missing or spent, 130 and 143 stopped by a signal, 1
+    /// anything else.
     pub(crate) fn exit_status(&self) -> u8 {
         match self {
             CliError::Usage(_) => 2,
             CliError::Problem(problem) => exit_status_of(problem),
             CliError::Reported { problem, .. } => exit_status_of(problem),
-            CliError::Stopped => 1,
+            CliError::Stopped { status, .. } => *status,
         }
     }
 
@@ -60,7 +66,9 @@ impl CliError {
             CliError::Usage(detail) => Problem::new(ProblemType::Usage, detail.clone()),
             CliError::Problem(problem) => problem.clone(),
             CliError::Reported { problem, .. } => (**problem).clone(),
-            CliError::Stopped => Problem::new(ProblemType::Stopped, "the run was stopped before its end"),
+            CliError::Stopped { advice, .. } => {
+                Problem::new(ProblemType::Stopped, format!("the run was stopped before its end; {advice}"))
+            }
         }
     }
 }
@@ -94,7 +102,7 @@ mod tests {
             assert_eq!(failure.exit_status(), expected, "{status}");
         }
         assert_eq!(CliError::Usage(String::new()).exit_status(), 2);
-        assert_eq!(CliError::Stopped.exit_status(), 1);
+        assert_eq!(CliError::Stopped { status: 130, advice: String::new() }.exit_status(), 130);
     }
 
     #[test]

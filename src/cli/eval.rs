@@ -10,7 +10,9 @@ use tcgs::{
     eval::Lpips,
 };
 
-use super::{CliError, Report, adapter::AdapterFlag, files, lpips::LpipsFlag, picture, wiring};
+use super::{
+    CliError, Report, adapter::AdapterFlag, files, lpips::LpipsFlag, notice::notice, picture, wiring,
+};
 
 /// Arguments of `tcgs eval`.
 #[derive(Debug, clap::Args)]
@@ -75,11 +77,11 @@ pub(crate) fn run(args: &Args) -> Result<Report, CliError> {
 
     let same_dataset = decoded.dataset.map(|digest| digest == dataset.digest);
     if same_dataset == Some(false) {
-        eprintln!(
+        notice(format_args!(
             "tcgs: note: {} was trained on another dataset than {}",
             file.display(),
             dataset_path.display()
-        );
+        ));
     }
     let (anchors, gaussians) = (decoded.scene.anchors(), decoded.scene.gaussians());
     let (background, decode_sha256) = (decoded.background, decoded.decode_sha256);

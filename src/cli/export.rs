@@ -1,12 +1,12 @@
 //! `tcgs export`: a scene as plain Gaussians in a format that viewers read, and what that costs.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use clap::builder::{PossibleValuesParser, TypedValueParser as _};
 use serde::Serialize;
 use tcgs::domain::{Camera, Dataset, Digest, Image, Problem, SceneFormat, Split};
 
-use super::{CliError, Report, adapter::AdapterFlag, files, wiring};
+use super::{CliError, Report, adapter::AdapterFlag, files, notice::notice, wiring};
 
 /// The formats that other programs read.
 const FORMATS: [SceneFormat; 3] = [SceneFormat::Ply, SceneFormat::Spz, SceneFormat::Spz3];
@@ -17,9 +17,10 @@ pub(crate) struct Args {
     /// A .tcgs file, the .safetensors or .ply of a baseline, or a .spz
     file: PathBuf,
 
-    /// Format to write: ply for floats, spz for a tenth of the size, spz3 for viewers that read only version 3 of it
+    /// Format to write: ply for floats, spz for a tenth of the size, spz3 for viewers that read only version 3 of it [default:
+    /// that of the output's extension]
     #[arg(long, value_parser = PossibleValuesParser::new(FORMATS.map(SceneFormat::name)).try_map(|name| name.parse::<SceneFormat>()))]
-    format: SceneFormat,
+    format: Option<SceneFormat>,
 
     /// The file to write
     #[arg(short, long, value_name = "OUT")]
@@ -74,7 +75,11 @@ struct Source {
 
 /// Bakes, writes, measures.
 pub(crate) fn run(args: &Args) -> Result<Report, CliError> {
-    files::check_writable(&args.output)?;
+    let format = match args.format {
+        Some(format) => format,
+        None => format_of(&args.output)?,
+    };
+    files::check_output(&args.output, &args.file, &[format.extension()])?;
     let in_file = |problem: Problem| problem.in_file(args.file.display().to_string());
     let bytes = files::read(&args.file)?;
     let file = wiring::read(&bytes).map_err(in_file)?;
@@ -82,14 +87,19 @@ pub(crate) fn run(args: &Args) -> Result<Report, CliError> {
     if let (Some(path), Some(dataset), Some(stated)) = (&args.dataset, &dataset, file.dataset)
         && stated != dataset.digest
     {
-        eprintln!(
+        notice(format_args!(
             "tcgs: note: {} was trained on another dataset than {}",
             args.file.display(),
             path.display()
-        );
+        ));
     }
+    // A file that could not be measured would look like one that failed.
+    let renderer = match args.unmeasured {
+        true => None,
+        false => Some(wiring::Renderer::open(file.clone(), &args.adapter.adapter).map_err(unmeasurable)?),
+    };
     let cameras = dataset.as_ref().map(training_cameras);
-    let exported = wiring::export(&file, args.format, args.sh_degree, cameras.as_deref()).map_err(in_file)?;
+    let exported = wiring::export(&file, format, args.sh_degree, cameras.as_deref()).map_err(in_file)?;
     let source = Source {
         format: file.format,
         bytes: bytes.len(),
@@ -99,17 +109,18 @@ pub(crate) fn run(args: &Args) -> Result<Report, CliError> {
     };
     files::write(&args.output, &exported.bytes)?;
     let gaussians = wiring::read(&exported.bytes)?.scene.gaussians();
-    let quality = if args.unmeasured {
-        None
-    } else {
-        let background = file.background;
-        let photographs = dataset.as_ref().map(|dataset| held_out(dataset, background.rgb8())).transpose()?;
-        let renderer = wiring::Renderer::open(file, &args.adapter.adapter)?;
-        Some(wiring::compare(&renderer, &exported.bytes, background, photographs.as_deref())?)
+    let quality = match renderer {
+        None => None,
+        Some(renderer) => {
+            let background = file.background;
+            let photographs =
+                dataset.as_ref().map(|dataset| held_out(dataset, background.rgb8())).transpose()?;
+            Some(wiring::compare(&renderer, &exported.bytes, background, photographs.as_deref())?)
+        }
     };
     let summary = Summary {
         output: args.output.clone(),
-        format: args.format,
+        format,
         bytes: exported.bytes.len(),
         gaussians,
         sh_degree: exported.degree,
@@ -119,6 +130,22 @@ pub(crate) fn run(args: &Args) -> Result<Report, CliError> {
         quality,
     };
     Ok(Report::new(text(&summary), &summary))
+}
+
+/// The format that the name of an output asks for.
+fn format_of(output: &Path) -> Result<SceneFormat, CliError> {
+    let extension = output.extension().map(|extension| extension.to_string_lossy().to_ascii_lowercase());
+    let format = FORMATS.into_iter().find(|format| extension.as_deref() == Some(format.extension()));
+    format.ok_or_else(|| {
+        let output = output.display();
+        CliError::Usage(format!("--output: '{output}' does not end in .ply or .spz; name a --format"))
+    })
+}
+
+/// The problem of an adapter without which there would be no measurement.
+fn unmeasurable(problem: Problem) -> Problem {
+    let detail = format!("{}; --unmeasured exports without one", problem.detail);
+    Problem { detail, ..problem }
 }
 
 fn training_cameras(dataset: &Dataset) -> Vec<Camera> {

@@ -2,7 +2,9 @@
 //!
 //! What always holds: a command returns a [`Report`] or a [`CliError`] and prints nothing on standard output itself,
 //! so with `--json` exactly one JSON document appears there, also when the command fails. Progress and logs go to
-//! standard error. Output files appear whole or not at all.
+//! standard error, by [`notice`] alone. Output files appear whole or not at all.
+
+#![cfg_attr(not(test), deny(clippy::print_stderr, clippy::print_stdout))]
 
 mod adapter;
 mod backup;
@@ -24,6 +26,7 @@ mod logging;
 mod lpips;
 mod memory;
 mod migrate;
+mod notice;
 mod options;
 mod picture;
 #[cfg(debug_assertions)]
@@ -38,6 +41,7 @@ mod render;
 mod report;
 mod sample;
 mod serve;
+mod signals;
 mod storage;
 mod train;
 mod view_memory;
@@ -67,7 +71,7 @@ struct Cli {
 }
 
 const EXIT_STATUSES: &str = "Exit status: 0 done; 2 wrong usage; 3 the input was refused; \
-    4 a resource was missing or spent; 1 anything else.";
+    4 a resource was missing or spent; 130 or 143 stopped by a signal; 1 anything else.";
 
 #[derive(Debug, Subcommand)]
 enum Command {

@@ -8,6 +8,8 @@ use std::{
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use tcgs::domain::{Phase, Progress};
 
+use super::notice::notice;
+
 /// Seconds of the run between two lines of one phase.
 const SECONDS_BETWEEN_LINES: f64 = 5.0;
 
@@ -49,7 +51,7 @@ impl Display {
             Self::Lines { last } => {
                 if is_due(*last, phase, progress) {
                     *last = Some((phase, progress.elapsed_seconds));
-                    eprintln!("{}", line(phase, progress));
+                    notice(line(phase, progress));
                 }
             }
         }

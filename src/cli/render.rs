@@ -24,6 +24,7 @@ pub(crate) struct Args {
 /// Renders and writes.
 pub(crate) fn run(args: &Args) -> Result<Report, CliError> {
     picture::format_of(&args.output)?;
+    files::check_writable(&args.output)?;
     let camera = args.camera.camera()?;
     let decoded = wiring::read(&files::read(&args.file)?)
         .map_err(|problem| problem.in_file(args.file.display().to_string()))?;

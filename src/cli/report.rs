@@ -5,7 +5,7 @@ use std::{
     process::ExitCode,
 };
 
-use super::CliError;
+use super::{CliError, notice::notice};
 
 /// The outcome of a command in both forms.
 #[derive(Debug, Default)]
@@ -35,7 +35,7 @@ pub(crate) fn conclude(outcome: Result<Report, CliError>, json: bool) -> ExitCod
         Ok(report) if json => (print(&format!("{:#}", report.json)), 0),
         Ok(report) => (print(&report.text), 0),
         Err(failure) => {
-            eprintln!("tcgs: {failure}");
+            notice(format_args!("tcgs: {failure}"));
             let printed = if let CliError::Reported { text, json: document, .. } = &failure {
                 if json { print(&format!("{document:#}")) } else { print(text) }
             } else if json {
@@ -49,7 +49,7 @@ pub(crate) fn conclude(outcome: Result<Report, CliError>, json: bool) -> ExitCod
     match printed {
         // A closed pipe (`tcgs inspect … | head`) is no error.
         Err(fault) if fault.kind() != io::ErrorKind::BrokenPipe => {
-            eprintln!("tcgs: standard output: {fault}");
+            notice(format_args!("tcgs: standard output: {fault}"));
             ExitCode::from(4)
         }
         _ => ExitCode::from(status),

@@ -5,7 +5,10 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use tcgs::store::{BucketUrl, DATABASE, DatabaseLocation, PostgresUrl};
+use tcgs::{
+    domain::{Problem, ProblemType},
+    store::{BucketUrl, DATABASE, DatabaseLocation, PostgresUrl},
+};
 
 use super::CliError;
 
@@ -62,6 +65,21 @@ impl Storage {
     /// SQLite's file, unless the database is PostgreSQL, whose server is asked whether there is one.
     pub(crate) fn file(&self) -> Option<PathBuf> {
         self.database.is_none().then(|| self.data.join(DATABASE))
+    }
+
+    /// Whether the data folder is to hold a database and has none.
+    pub(crate) fn lacks_database(&self) -> bool {
+        self.file().is_some_and(|file| !file.exists())
+    }
+
+    /// Refuses a data folder without a database, which would otherwise be made there.
+    pub(crate) fn expect_database(&self) -> Result<(), CliError> {
+        if !self.lacks_database() {
+            return Ok(());
+        }
+        let detail =
+            format!("there is no database of a service in {self}; --data names the service's folder");
+        Err(Problem::new(ProblemType::UnreadableInput, detail).into())
     }
 
     /// The data folder of a command that copies SQLite's file.

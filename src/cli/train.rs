@@ -1,19 +1,16 @@
 //! `tcgs train`: trains a scene from a dataset, writes its file and reports its metrics.
 
-use std::{
-    path::{Path, PathBuf},
-    thread,
-};
+use std::path::{Path, PathBuf};
 
 use serde_json::{Value, json};
 use tcgs::{
-    domain::{CancelFlag, Convergence, CurvePoint, JobMetrics, Phase},
+    domain::{Convergence, CurvePoint, JobMetrics, Phase, SceneFormat},
     pipeline::{Checkpoints, JobError, Resume, RunJob as _},
 };
 
 use super::{
     CliError, Report, adapter::AdapterFlag, files, lpips::LpipsFlag, memory::MemoryFlags,
-    options::TrainFlags, profile, progress::Display, wiring,
+    options::TrainFlags, profile, progress::Display, signals::Interruption, wiring,
 };
 
 /// Arguments of `tcgs train`.
@@ -59,7 +56,7 @@ pub(crate) struct Args {
 /// Trains, writes the file, reports its metrics.
 pub(crate) fn run(args: &Args) -> Result<Report, CliError> {
     let options = args.options.validated()?;
-    files::check_writable(&args.output)?;
+    files::check_output(&args.output, &args.dataset, &[SceneFormat::of_model(options.model).extension()])?;
     for lambda in &options.rd_curve {
         files::check_writable(&with_lambda(&args.output, *lambda))?;
     }
@@ -68,8 +65,7 @@ pub(crate) fn run(args: &Args) -> Result<Report, CliError> {
     let memory = args.memory.limits(1);
     let runner =
         wiring::runner(&args.adapter.adapter, memory, std::env::temp_dir(), lpips).with_profile(args.profile);
-    let cancel = CancelFlag::default();
-    cancel_on_interrupt(cancel.clone());
+    let interruption = Interruption::listen();
 
     let mut display = Display::new();
     let mut reached = Phase::Ingest;
@@ -81,7 +77,7 @@ pub(crate) fn run(args: &Args) -> Result<Report, CliError> {
             reached = phase;
             display.show(phase, progress);
         },
-        &cancel,
+        &interruption.cancel,
     );
     display.finish();
     let output = outcome.map_err(|failure| match failure {
@@ -92,7 +88,7 @@ pub(crate) fn run(args: &Args) -> Result<Report, CliError> {
         JobError::Fail(problem) | JobError::Retry(problem) | JobError::Hold(problem) => {
             CliError::Problem(problem)
         }
-        JobError::Cancelled => CliError::Stopped,
+        JobError::Cancelled => interruption.error(advice(&checkpoints)),
     })?;
     files::write(&args.output, &output.file)?;
     let mut written = vec![args.output.clone()];
@@ -152,6 +148,14 @@ fn survey(curve: &[CurvePoint]) -> String {
     lines.join("\n")
 }
 
+/// How a run that was stopped goes on.
+fn advice(checkpoints: &Checkpoints) -> String {
+    match &checkpoints.keep {
+        Some(folder) => format!("go on with --resume {}", folder.display()),
+        None => "nothing is kept without --checkpoint DIR".to_owned(),
+    }
+}
+
 /// The checkpoint flags; their folders are checked before anything that takes long.
 fn checkpoints(args: &Args) -> Result<Checkpoints, CliError> {
     let keep = args.checkpoint.clone().or_else(|| args.resume.clone());
@@ -162,24 +166,6 @@ fn checkpoints(args: &Args) -> Result<Checkpoints, CliError> {
         files::check_writable(&folder.join("checkpoint"))?;
     }
     Ok(Checkpoints { keep, resume: args.resume.clone().map_or(Resume::Fresh, Resume::From) })
-}
-
-/// The first interrupt cancels the run, the second ends the process.
-pub(super) fn cancel_on_interrupt(cancel: CancelFlag) {
-    let watch = move || {
-        let Ok(runtime) = tokio::runtime::Builder::new_current_thread().enable_io().build() else { return };
-        if runtime.block_on(tokio::signal::ctrl_c()).is_err() {
-            return;
-        }
-        eprintln!("tcgs: stopping; interrupt again to end at once");
-        cancel.cancel();
-        if runtime.block_on(tokio::signal::ctrl_c()).is_ok() {
-            std::process::exit(1);
-        }
-    };
-    if let Err(fault) = thread::Builder::new().name("interrupt".to_owned()).spawn(watch) {
-        tracing::warn!(%fault, "an interrupt will end the run without a checkpoint");
-    }
 }
 
 /// The figures of a finished job, for people.

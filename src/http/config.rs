@@ -69,8 +69,8 @@ impl HttpConfig {
 pub enum ExposureError {
     /// There are none.
     #[error(
-        "{0} can be reached from other machines, and there are no API keys to tell who may: make one with \
-         'tcgs keys create', or listen on a loopback address such as 127.0.0.1:8080"
+        "{0} can be reached from other machines, and there are no API keys to tell who may: make one in the service's \
+         data folder with 'tcgs keys create --data DIR --name NAME', or listen on a loopback address such as 127.0.0.1:8080"
     )]
     NoKeys(SocketAddr),
     /// They are switched off.

@@ -60,7 +60,7 @@ pub(super) fn conclude(whole: Value, job: JobView) -> Result<Report, CliError> {
             Ok(Report { text, json: whole })
         }
         (JobState::Failed, Some(problem), _) => Err(problem.into()),
-        (JobState::Cancelled, ..) => Err(CliError::Stopped),
+        (JobState::Cancelled, ..) => Err(CliError::Stopped { status: 1, advice: String::new() }),
         (state, ..) => Ok(Report { text: format!("job {} is {}", job.id, state.name()), json: whole }),
     }
 }

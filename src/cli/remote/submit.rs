@@ -11,7 +11,7 @@ use tcgs::domain::{Bytes, TrainOptions};
 use uuid::Uuid;
 
 use super::{Connection, ServerFlags, archive::Archive, connection::document, follow::follow, job, upload};
-use crate::cli::{CliError, Report, options::TrainFlags};
+use crate::cli::{CliError, Report, notice::notice, options::TrainFlags};
 
 /// Largest part; one is held in memory.
 const MAX_PART_BYTES: u64 = 256 << 20;
@@ -65,7 +65,7 @@ pub(crate) fn run(args: &Args) -> Result<Report, CliError> {
             let text = format!("job {}\nwatch     tcgs watch {}", view.id, view.id);
             return Ok(Report { text, json: whole });
         }
-        eprintln!("tcgs: job {}", view.id);
+        notice(format_args!("tcgs: job {}", view.id));
         let (whole, view) = follow(&connection, view.id).await?;
         job::conclude(whole, view)
     })

@@ -96,7 +96,7 @@ async fn send_parts(
 fn is_retryable(fault: &CliError) -> bool {
     match fault {
         CliError::Problem(problem) => matches!(problem.status, 408 | 409 | 423 | 429 | 460 | 502..=504),
-        CliError::Usage(_) | CliError::Reported { .. } | CliError::Stopped => false,
+        CliError::Usage(_) | CliError::Reported { .. } | CliError::Stopped { .. } => false,
     }
 }
 

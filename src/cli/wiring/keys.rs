@@ -14,7 +14,7 @@ use super::{
     runtime::{runtime, unavailable},
     service::{OlderSchema, open_store},
 };
-use crate::cli::{CliError, storage::Storage};
+use crate::cli::{CliError, notice::notice, storage::Storage};
 
 /// Keys per page of the list.
 const PAGE: u32 = 1000;
@@ -26,7 +26,7 @@ pub(crate) fn create_key(
 ) -> Result<(KeyRecord, ApiKey), CliError> {
     let drawn = NewKey::generate(&SystemRandom, SystemClock.now(), request);
     let (new, key) = drawn.map_err(|fault| CliError::Usage(fault.to_string()))?;
-    let record = with_store(storage, async |store| match store.create_key(new).await {
+    let record = with_new_store(storage, async |store| match store.create_key(new).await {
         Err(StoreError::NoProject(id)) => Ok(Err(id)),
         created => created.map(Ok),
     })?;
@@ -85,7 +85,7 @@ pub(crate) fn create_project(
 ) -> Result<ProjectRecord, CliError> {
     let new = NewProject::generate(&SystemRandom, SystemClock.now(), name, limits);
     let new = new.map_err(|fault| CliError::Usage(fault.to_string()))?;
-    with_store(storage, async |store| store.create_project(new).await)
+    with_new_store(storage, async |store| store.create_project(new).await)
 }
 
 /// Changes a project.
@@ -122,7 +122,29 @@ pub(crate) fn projects(storage: &Storage) -> Result<Vec<ProjectUsage>, CliError>
     })
 }
 
+/// Like [`with_store`], with a new database where there is none: keys are made before a service first starts.
+fn with_new_store<T>(
+    storage: &Storage,
+    work: impl AsyncFnOnce(&SqlStore) -> Result<T, StoreError>,
+) -> Result<T, CliError> {
+    let new = storage.lacks_database();
+    let outcome = with_opened(storage, work)?;
+    if new {
+        notice(format_args!("tcgs: note: there was no database in {storage}; it is new"));
+    }
+    Ok(outcome)
+}
+
+/// Does `work` with a database that must be there.
 fn with_store<T>(
+    storage: &Storage,
+    work: impl AsyncFnOnce(&SqlStore) -> Result<T, StoreError>,
+) -> Result<T, CliError> {
+    storage.expect_database()?;
+    with_opened(storage, work)
+}
+
+fn with_opened<T>(
     storage: &Storage,
     work: impl AsyncFnOnce(&SqlStore) -> Result<T, StoreError>,
 ) -> Result<T, CliError> {

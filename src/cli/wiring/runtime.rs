@@ -1,12 +1,15 @@
 //! The runtime of a process, and the signals that stop it.
 
-use std::{error::Error, io, time::Duration};
+use std::error::Error;
 
 use tcgs::domain::{Problem, ProblemType};
 use tokio::runtime::Runtime;
 use tokio_util::sync::CancellationToken;
 
-use crate::cli::CliError;
+use crate::cli::{
+    CliError,
+    signals::{SIGNAL_DEBOUNCE, Signals},
+};
 
 pub(super) fn runtime() -> Result<Runtime, CliError> {
     tokio::runtime::Builder::new_multi_thread().enable_all().build().map_err(|fault| unavailable(&fault))
@@ -22,9 +25,6 @@ pub(super) fn run_until_stopped<T>(
     runtime.shutdown_background();
     outcome
 }
-
-/// Signals within this time count as one: wrappers such as `timeout` send each twice.
-const SIGNAL_DEBOUNCE: Duration = Duration::from_millis(500);
 
 /// Cancelled by the first interrupt or termination signal. A second ends the process at once.
 pub(super) fn stop_on_signals() -> Result<CancellationToken, CliError> {
@@ -52,46 +52,6 @@ pub(super) fn stop_on_signals() -> Result<CancellationToken, CliError> {
     Ok(stop)
 }
 
-/// The signals that ask a process to stop.
-#[cfg(unix)]
-struct Signals {
-    interrupt: tokio::signal::unix::Signal,
-    terminate: tokio::signal::unix::Signal,
-}
-
-#[cfg(unix)]
-impl Signals {
-    fn listen() -> io::Result<Self> {
-        use tokio::signal::unix::{SignalKind, signal};
-        Ok(Self { interrupt: signal(SignalKind::interrupt())?, terminate: signal(SignalKind::terminate())? })
-    }
-
-    /// Waits for one, and returns the exit status of a process that it ends, as shells have it.
-    async fn next(&mut self) -> i32 {
-        tokio::select! {
-            _ = self.interrupt.recv() => 128 + 2,
-            _ = self.terminate.recv() => 128 + 15,
-        }
-    }
-}
-
-/// The signal that asks a process to stop.
-#[cfg(windows)]
-struct Signals(tokio::signal::windows::CtrlC);
-
-#[cfg(windows)]
-impl Signals {
-    fn listen() -> io::Result<Self> {
-        tokio::signal::windows::ctrl_c().map(Self)
-    }
-
-    /// Waits for one, and returns the exit status of a process that it ends.
-    async fn next(&mut self) -> i32 {
-        self.0.recv().await;
-        130
-    }
-}
-
 /// A problem for a missing resource, with the causes of the error.
 pub(super) fn unavailable(fault: &(dyn Error + 'static)) -> CliError {
     let mut detail = fault.to_string();
@@ -105,7 +65,10 @@ pub(super) fn unavailable(fault: &(dyn Error + 'static)) -> CliError {
 
 #[cfg(test)]
 mod tests {
-    use std::{sync::mpsc, time::Instant};
+    use std::{
+        sync::mpsc,
+        time::{Duration, Instant},
+    };
 
     use super::*;
 

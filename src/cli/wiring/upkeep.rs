@@ -1,6 +1,6 @@
 //! Backups, restorations and checks of data folders.
 
-use std::{io, path::Path, sync::Arc};
+use std::{path::Path, sync::Arc};
 
 use tcgs::{
     domain::{Clock as _, Problem, ProblemType, SystemClock},
@@ -20,11 +20,7 @@ use crate::cli::{CliError, storage::Storage};
 
 /// The store of a service, which must be there.
 async fn existing(storage: &Storage) -> Result<SqlStore, CliError> {
-    if let Some(database) = storage.file()
-        && !database.exists()
-    {
-        return Err(CliError::unreadable(&database, &io::ErrorKind::NotFound.into()));
-    }
+    storage.expect_database()?;
     let store =
         SqlStore::open_current(storage.location(), Arc::new(SystemClock), QueuePolicy::default()).await;
     store.map_err(|fault| unavailable(&fault))
@@ -33,8 +29,8 @@ async fn existing(storage: &Storage) -> Result<SqlStore, CliError> {
 /// Writes a backup of a data folder, whether its service runs or not.
 pub(crate) fn back_up(storage: &Storage, destination: &Path, mode: CopyMode) -> Result<BackupNote, CliError> {
     runtime()?.block_on(async {
-        private::create(destination).map_err(|fault| CliError::unwritable(destination, &fault))?;
         let store = Arc::new(existing(storage).await?);
+        private::create(destination).map_err(|fault| CliError::unwritable(destination, &fault))?;
         let source = match storage.blobs {
             Some(_) => BlobSource::Store(open_blobs(storage, &store).await?),
             // Only read, so that a backup can be made of a full disk.

@@ -5,7 +5,7 @@ use std::{net::SocketAddr, sync::Arc};
 use tcgs::{
     domain::{ProjectLimits, SystemRandom, ViewerToken},
     gpu::AdapterChoice,
-    http::{self, HttpConfig, ViewerConfig, ViewerServices},
+    http::{self, HttpConfig, ServeError, ViewerConfig, ViewerServices},
     store::ViewerRecord,
     viewers::announce,
 };
@@ -45,7 +45,10 @@ pub(crate) struct ViewerOptions {
 pub(crate) fn viewer(options: ViewerOptions) -> Result<(), CliError> {
     run_until_stopped(async {
         let (views, adapter) = super::views(&options.adapter, options.memory)?;
-        let listener = TcpListener::bind(options.listen).await.map_err(|fault| unavailable(&fault))?;
+        let listener = TcpListener::bind(options.listen).await.map_err(|source| {
+            let fault = ServeError::Bind { address: options.listen, source };
+            unavailable(&fault)
+        })?;
         let address = listener.local_addr().map_err(|fault| unavailable(&fault))?;
         let url = match options.advertise {
             Advertised::Url(url) => url.as_str().trim_end_matches('/').to_owned(),

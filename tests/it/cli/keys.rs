@@ -65,7 +65,11 @@ async fn keys_are_made_and_revoked_beside_a_running_service() {
 fn what_is_wrong_with_a_key_is_said() {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let data = folder.path().display().to_string();
-    let cases: [(&[&str], i32, &str); 4] = [
+    let missing = "there is no database";
+    let cases: [(&[&str], i32, &str); 7] = [
+        (&["list"], 3, missing),
+        (&["revoke", "0190a5d8-0000-7000-8000-000000000000"], 3, missing),
+        (&["create", "--name", "first"], 0, "it is new"),
         (&["create", "--name", " "], 2, "name"),
         (&["create", "--name", "x", "--scopes", "write"], 2, "scenes:write"),
         (&["revoke", "17"], 2, "17"),

@@ -121,19 +121,21 @@ fn refused_input_is_status_3_and_names_the_file() {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let garbage = folder.path().join("garbage.bin");
     std::fs::write(&garbage, b"neither a scene nor an archive").expect("writes");
-    let (garbage, out) = (path(&garbage), folder.path().join("out.png"));
-    let out = path(&out);
+    let garbage = path(&garbage);
+    let out = |extension: &str| folder.path().join("out").with_extension(extension).display().to_string();
+    let [file, picture, tensors, splats] = &["tcgs", "png", "safetensors", "spz"].map(out);
     let missing = "no/such/file";
     let cases: &[&[&str]] = &[
         &["inspect", missing],
-        &["decode", missing, "-o", out],
-        &["encode", missing, "-o", out],
-        &["encode", garbage, "-o", out],
-        &["export", garbage, "-o", out, "--format", "spz"],
-        &["render", missing, "-o", out, "--pose", missing],
-        &["render", garbage, "-o", out, "--pose", r#"{"fx": 1}"#],
+        &["decode", missing, "-o", tensors],
+        &["encode", missing, "-o", file],
+        &["encode", garbage, "-o", file],
+        &["export", garbage, "-o", splats, "--format", "spz"],
+        &["export", garbage, "-o", splats],
+        &["render", missing, "-o", picture, "--pose", missing],
+        &["render", garbage, "-o", picture, "--pose", r#"{"fx": 1}"#],
         &["sample", path(folder.path())],
-        &["train", "d", "-o", out, "--resume", missing],
+        &["train", "d", "-o", file, "--resume", missing],
     ];
     for arguments in cases {
         let output = tcgs(arguments);
@@ -141,7 +143,9 @@ fn refused_input_is_status_3_and_names_the_file() {
         assert!(output.stdout.is_empty(), "{arguments:?}");
         assert!(text(&output.stderr).starts_with("tcgs: "), "{arguments:?}: {}", text(&output.stderr));
     }
-    assert!(!Path::new(out).exists(), "a failed command must leave no output");
+    for out in [file, picture, tensors, splats] {
+        assert!(!Path::new(out).exists(), "a failed command must leave no output");
+    }
     let output = tcgs(&["inspect", missing]);
     assert!(text(&output.stderr).contains(missing));
 }
@@ -272,6 +276,60 @@ fn a_file_is_inspected_decoded_and_encoded_again() {
     let refused = tcgs(&["decode", path(&cut), "-o", path(&tensors), "--json"]);
     assert_eq!(refused.status.code(), Some(3));
     assert!(json(&refused)["file"].as_str().expect("a file").ends_with("cut.tcgs"));
+}
+
+#[test]
+fn an_input_is_not_replaced_by_the_output() {
+    let golden = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/golden/shell_v1.tcgs");
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let file = folder.path().join("scene");
+    std::fs::copy(&golden, &file).expect("copied");
+    let scene = path(&file);
+    for arguments in [
+        &["decode", scene, "-o", scene][..],
+        &["encode", scene, "-o", scene],
+        &["export", scene, "-o", scene, "--format", "ply", "--unmeasured"],
+        &["train", scene, "-o", scene],
+    ] {
+        let refused = tcgs(arguments);
+        assert_eq!(refused.status.code(), Some(2), "{arguments:?}: {}", text(&refused.stderr));
+        assert!(text(&refused.stderr).contains("is the input"), "{arguments:?}: {}", text(&refused.stderr));
+    }
+    assert!(std::fs::read(&file).expect("there") == std::fs::read(&golden).expect("there"));
+}
+
+#[test]
+fn an_export_that_cannot_be_measured_is_not_written() {
+    let golden = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/golden/shell_v1.tcgs");
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let out = folder.path().join("scene.ply");
+    let export = ["export", path(&golden), "-o", path(&out), "--adapter", "none of this name"];
+    let refused = tcgs(&export);
+    assert_eq!(refused.status.code(), Some(4), "{}", text(&refused.stderr));
+    assert!(text(&refused.stderr).contains("--unmeasured"), "{}", text(&refused.stderr));
+    assert!(!out.exists());
+    let exported = tcgs(&[&export[..], &["--unmeasured"]].concat());
+    assert_eq!(exported.status.code(), Some(0), "{}", text(&exported.stderr));
+    assert!(std::fs::read(&out).expect("written").starts_with(b"ply"), "as its extension says");
+}
+
+#[cfg(target_os = "linux")]
+#[test]
+fn a_standard_error_that_takes_nothing_changes_no_outcome() {
+    let full = || std::fs::OpenOptions::new().write(true).open("/dev/full").expect("a full device");
+    let run = |arguments: &[&str]| {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_tcgs"));
+        command.args(arguments).stderr(full()).output().expect("the binary runs")
+    };
+    let refused = run(&["inspect", "no/such/file", "--json"]);
+    assert_eq!(refused.status.code(), Some(3));
+    assert_eq!(json(&refused)["type"], "urn:tcgs:problem:unreadable-input");
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let out = folder.path().join("scene.tcgs");
+    // Its first line of progress comes before anything can be wrong.
+    let refused = run(&["train", "no/such/dataset", "-o", path(&out), "--json"]);
+    assert_eq!(refused.status.code(), Some(3), "{}", text(&refused.stdout));
+    json(&refused);
 }
 
 #[test]

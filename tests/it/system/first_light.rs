@@ -472,9 +472,12 @@ fn an_interrupted_command_goes_on_where_it_stopped() {
     let mut said = BufReader::new(child.stderr.take().expect("piped")).lines().map_while(Result::ok);
     // Told with the first round of growth, which is in the middle of the run.
     assert!(said.any(|line| line.contains("grown")), "nothing grew");
-    kill("-INT", child.id());
+    // As `timeout`, containers and batch systems stop a command; an interrupt does the same.
+    kill("-TERM", child.id());
     let rest: Vec<String> = said.collect();
-    assert_eq!(child.wait().expect("ended").code(), Some(1), "{rest:#?}");
+    assert_eq!(child.wait().expect("ended").code(), Some(143), "{rest:#?}");
+    let advice = format!("go on with --resume {}", kept.display());
+    assert!(rest.iter().any(|line| line.contains(&advice)), "{rest:#?}");
     assert!(!out.exists());
 
     let other = [run.clone(), line!["--background", "white", "--resume", kept]].concat();

@@ -29,7 +29,7 @@ use std::{
 
 use serde_json::json;
 use tcgs::{
-    domain::{CancelFlag, Clock as _, Problem, ProblemType, SystemClock},
+    domain::{Clock as _, Problem, ProblemType, SystemClock},
     pipeline::ReferenceViews,
 };
 
@@ -43,8 +43,11 @@ use self::{
 };
 use crate::cli::{
     CliError, Report, adapter::AdapterFlag, files, json_lines::JsonLines, lpips::LpipsFlag,
-    train::cancel_on_interrupt, wiring,
+    signals::Interruption, wiring,
 };
+
+/// How an interrupted report goes on.
+const ADVICE: &str = "finished runs are kept: the same command goes on with the others";
 
 /// Arguments of `tcgs bench report`.
 #[derive(Debug, clap::Args)]
@@ -112,8 +115,7 @@ pub(crate) fn run(args: &Args) -> Result<Report, CliError> {
         let digest = wiring::load_dataset(&path)?.digest;
         sets.insert(name, SuiteSet { path, digest });
     }
-    let cancel = CancelFlag::default();
-    cancel_on_interrupt(cancel.clone());
+    let interruption = Interruption::listen();
     let mut renders = JsonLines::open(&args.output.join("renders.jsonl"))?;
     let folder = args.matrix.parent().unwrap_or(Path::new("."));
     let mut runner = Runner {
@@ -126,12 +128,12 @@ pub(crate) fn run(args: &Args) -> Result<Report, CliError> {
         export_formats: matrix.export_formats.iter().map(|format| format.0).collect(),
         reference: ReferenceViews { views: matrix.reference_views, max_side: matrix.reference_side.max(1) },
         session: SystemClock.now().to_string(),
-        cancel: cancel.clone(),
+        interruption: interruption.clone(),
     };
     let sweeps = match &matrix.render {
         None => Vec::new(),
         Some(sweep) if args.no_runs => sweep::kept(sweep, &renders),
-        Some(sweep) => sweep::make(sweep, &args.adapter.adapter, &mut renders, &cancel)?,
+        Some(sweep) => sweep::make(sweep, &args.adapter.adapter, &mut renders, &interruption)?,
     };
     let document = Document { args, matrix: &matrix, wanted: plan.len(), sweeps: &sweeps };
     let mut publish = |done: &[RunRecord]| document.publish(done, &[]);

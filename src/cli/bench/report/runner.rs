@@ -7,21 +7,22 @@ use std::{
 };
 
 use tcgs::{
-    domain::{
-        CancelFlag, Dataset, Digest, ModelKind, Phase, Problem, Progress, SceneFormat, Split, TrainOptions,
-    },
+    domain::{Dataset, Digest, ModelKind, Phase, Problem, Progress, SceneFormat, Split, TrainOptions},
     gpu::AdapterChoice,
     pipeline::{Checkpoints, JobError, JobOutput, Pipeline, ReferenceViews, RunJob as _},
     train::Schedule,
 };
 
 use super::{
-    external_formats,
+    ADVICE, external_formats,
     machine::Machine,
     matrix::PlannedRun,
     record::{Course, ExportRecord, RunKey, RunRecord},
 };
-use crate::cli::{CliError, json_lines::JsonLines, memory::MemoryFlags, progress::Display, wiring};
+use crate::cli::{
+    CliError, json_lines::JsonLines, memory::MemoryFlags, notice::notice, progress::Display,
+    signals::Interruption, wiring,
+};
 
 /// Times that a file is decoded again, to know its seconds better.
 const DECODES: usize = 3;
@@ -49,7 +50,7 @@ pub(super) struct Runner {
     /// Views that the renderer is held to the f64 reference on.
     pub(super) reference: ReferenceViews,
     pub(super) session: String,
-    pub(super) cancel: CancelFlag,
+    pub(super) interruption: Interruption,
 }
 
 /// A run that failed, and why.
@@ -81,14 +82,14 @@ impl Runner {
                 pipelines.insert(name.clone(), self.pipeline(&adapter)?);
             }
             let Some(pipeline) = pipelines.get(&name) else { continue };
-            eprintln!("tcgs: run {} of {}: {run}", position.number(), position.runs);
+            notice(format_args!("tcgs: run {} of {}: {run}", position.number(), position.runs));
             match self.run(pipeline, &adapter, run, &mut position)? {
                 Ok(record) => {
                     done.push(self.records.add(&record)?);
                     after(&done)?;
                 }
                 Err(problem) => {
-                    eprintln!("tcgs: {run} failed: {problem}");
+                    notice(format_args!("tcgs: {run} failed: {problem}"));
                     failed.push(FailedRun { run: run.clone(), problem });
                 }
             }
@@ -153,17 +154,26 @@ impl Runner {
             course.add(phase, progress);
             display.show(phase, &position.at(progress));
         };
-        let outcome = pipeline.run(&set.path, &run.options, &Checkpoints::default(), &mut show, &self.cancel);
+        let outcome = pipeline.run(
+            &set.path,
+            &run.options,
+            &Checkpoints::default(),
+            &mut show,
+            &self.interruption.cancel,
+        );
         display.finish();
         let output = match outcome {
             Ok(output) => output,
-            Err(JobError::Cancelled) => return Err(CliError::Stopped),
+            Err(JobError::Cancelled) => return Err(self.interruption.error(ADVICE)),
             Err(JobError::Fail(problem) | JobError::Retry(problem) | JobError::Hold(problem)) => {
                 return Ok(Err(problem));
             }
         };
         let machine = [before, Machine::now()];
-        let measured = Measured::of(self, adapter, &set.path, &output)?;
+        let measured = match Measured::of(self, adapter, run, &set.path, &output) {
+            Ok(measured) => measured,
+            Err(failure) => return Ok(Err(failure.problem())),
+        };
         let size = |camera: &tcgs::domain::NamedCamera| {
             let intrinsics = camera.camera.intrinsics;
             [intrinsics.width, intrinsics.height]
@@ -201,6 +211,7 @@ impl Measured {
     fn of(
         runner: &Runner,
         adapter: &AdapterChoice,
+        run: &PlannedRun,
         dataset: &Path,
         output: &JobOutput,
     ) -> Result<Self, CliError> {
@@ -230,7 +241,12 @@ impl Measured {
         let is_plain = matches!(file.scene, tcgs::domain::Scene::Gaussians(_));
         let script = runner.external_formats.as_deref().filter(|_| is_plain);
         let open = |file| wiring::Renderer::open(file, adapter);
-        let external_formats = external_formats::measure(script, output, &dataset, &open)?;
+        let external_formats = external_formats::measure(script, output, &dataset, &open);
+        // Hours of training are not lost because another program is missing.
+        let external_formats = external_formats.unwrap_or_else(|failure| {
+            notice(format_args!("tcgs: note: {run} is kept without other programs' formats: {failure}"));
+            Vec::new()
+        });
         Ok(Self { decode_seconds, render_seconds, high_band, exports, external_formats })
     }
 }

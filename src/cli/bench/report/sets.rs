@@ -8,7 +8,7 @@ use std::{
 
 use tcgs::domain::{Problem, ProblemType};
 
-use crate::cli::{CliError, wiring};
+use crate::cli::{CliError, notice::notice, wiring};
 
 /// The datasets of the folder by name, only those of `named` if there are any. Anything else is skipped with a note; it is wrong usage
 /// to name a set in `asked` that is not there.
@@ -39,7 +39,7 @@ pub(super) fn find(
         match wiring::check_dataset(&path) {
             Ok(()) => usable.push((name, path)),
             Err(problem) if !named.is_empty() => return Err(problem.into()),
-            Err(problem) => eprintln!("tcgs: note: {name} skipped: {problem}"),
+            Err(problem) => notice(format_args!("tcgs: note: {name} skipped: {problem}")),
         }
     }
     if usable.is_empty() {

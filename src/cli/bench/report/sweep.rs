@@ -12,16 +12,16 @@ use rand_pcg::Pcg64;
 use serde::{Deserialize, Serialize};
 use tcgs::{
     domain::{
-        Background, Camera, CancelFlag, GaussianScene, Intrinsics, NearPlane, Pose, Problem, ProblemType,
-        Scene, gaussians::SH_COEFFICIENTS,
+        Background, Camera, GaussianScene, Intrinsics, NearPlane, Pose, Problem, ProblemType, Scene,
+        gaussians::SH_COEFFICIENTS,
     },
     eval::{ColorError, reference_view},
     gpu::{AdapterChoice, Device, DeviceSettings, KernelVariant, Subgroups},
     render::{RenderError, SceneRenderer, twin::Cutoffs},
 };
 
-use super::{machine::Machine, matrix::RenderSweep};
-use crate::cli::{CliError, json_lines::JsonLines};
+use super::{ADVICE, machine::Machine, matrix::RenderSweep};
+use crate::cli::{CliError, json_lines::JsonLines, notice::notice, signals::Interruption};
 
 /// How kernels divide their work, by name; the first is the adapter's own.
 const VARIANTS: [(&str, DeviceSettings); 4] = {
@@ -80,7 +80,7 @@ pub(super) fn make(
     sweep: &RenderSweep,
     adapter: &AdapterChoice,
     records: &mut JsonLines<SweepRecord>,
-    cancel: &CancelFlag,
+    interruption: &Interruption,
 ) -> Result<Vec<SweepRecord>, CliError> {
     let mut done = Vec::new();
     let mut devices: Vec<Arc<Device>> = Vec::new();
@@ -96,8 +96,8 @@ pub(super) fn make(
                 done.push(record.clone());
                 continue;
             }
-            if cancel.is_cancelled() {
-                return Err(CliError::Stopped);
+            if interruption.cancel.is_cancelled() {
+                return Err(interruption.error(ADVICE));
             }
             if devices.is_empty() {
                 for (_, settings) in &VARIANTS {
@@ -108,7 +108,7 @@ pub(super) fn make(
                     );
                 }
             }
-            eprintln!("tcgs: renders of {gaussians} Gaussians, {side} x {side} pixels");
+            notice(format_args!("tcgs: renders of {gaussians} Gaussians, {side} x {side} pixels"));
             let record = measure(adapter, &devices, gaussians, side, sweep.repeats).map_err(problem)?;
             done.push(records.add(&record)?);
         }
