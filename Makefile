@@ -100,6 +100,6 @@ lint: setup ## formatting, clippy, documentation, licences
 
 lint: export RUSTDOCFLAGS := -D warnings
 
-clean: ## remove what was built and what the demo wrote
+clean: ## remove what was built and what the demo wrote; reports in out/ stay
 	@$(CARGO) clean --quiet
-	@rm -rf out
+	@rm -rf out/demo out/gpu-kit

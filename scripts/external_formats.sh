@@ -1,8 +1,8 @@
 #!/usr/bin/env bash
-# external_formats.sh IN.ply OUTDIR: a file of plain Gaussians through the formats of others and back. Writes OUTDIR/peer.sog and
-# peer_v3.spz and peer_v4.spz, what each decodes to (sog.ply, spz_v3.ply, spz_v4.ply, which `tcgs eval` measures), and
+# external_formats.sh IN.ply OUTDIR: a file of plain Gaussians through the formats of others and back. Writes OUTDIR/other.sog and
+# other_v3.spz and other_v4.spz, what each decodes to (sog.ply, spz_v3.ply, spz_v4.ply, which `tcgs eval` measures), and
 # OUTDIR/sizes.tsv: format, bytes of the file, bytes of IN.ply, the .ply that it decodes to. The table is also printed. A conversion
-# may take TCGS_PEER_SECONDS (1800); a format that takes longer is left out.
+# may take TCGS_EXTERNAL_SECONDS (1800); a format that takes longer is left out.
 set -euo pipefail
 
 if [ $# -ne 2 ] || [ ! -f "$1" ]; then
@@ -14,7 +14,7 @@ out=$2
 here=$(cd "$(dirname "$0")" && pwd)
 mkdir -p "$out"
 
-limit=${TCGS_PEER_SECONDS:-1800}
+limit=${TCGS_EXTERNAL_SECONDS:-1800}
 
 convert() { timeout "$limit" "$here/splat_transform.sh" --quiet -w "$@" >&2; }
 size() { wc -c <"$1" | tr -d ' '; }
@@ -49,7 +49,7 @@ printf 'format\tbytes\tply_bytes\tdecoded\n' >"$out/sizes.tsv"
 adapters=$("$here/splat_transform.sh" --list-gpus 2>/dev/null || true)
 device=cpu
 [[ $adapters != *"[0] "* ]] || device=0
-format sog peer.sog -g "$device"
-format spz_v3 peer_v3.spz --spz-version 3
-format spz_v4 peer_v4.spz --spz-version 4
+format sog other.sog -g "$device"
+format spz_v3 other_v3.spz --spz-version 3
+format spz_v4 other_v4.spz --spz-version 4
 cat "$out/sizes.tsv"
