@@ -326,7 +326,11 @@ impl Schedule {
             densify_pause: self.densify_pause.as_ref().map(|pause| at(pause.start)..at(pause.end)),
             masks: self.masks.map(|masks| masks.at_pace(&pace)),
             narrowing_estimates: self.narrowing_estimates.iter().map(|step| at(*step)).collect(),
-            compression: self.compression.as_ref().map(|compression| compression.at_pace(&pace)),
+            compression: self.compression.as_ref().map(|compression| {
+                let hastened = compression.at_pace(&pace);
+                // Steps that followed each other may have become one.
+                if self.plain_until > 0 { hastened.not_before(at(self.plain_until)) } else { hastened }
+            }),
             plain: self.plain.at_pace(&pace),
             ..self.clone()
         }
@@ -548,6 +552,15 @@ mod tests {
                     assert!(compression.noise_from > until && compression.context_from > until);
                 }
                 assert_eq!(schedule.disturbances().contains(&until), until > 0);
+            }
+        }
+        for steps in [1000, 2000] {
+            let options = TrainOptions { iterations: Some(steps), ..TrainOptions::default() };
+            let whole = Schedule::new(&options).for_points(true);
+            for after in 1..whole.plain_until {
+                let hastened = whole.hastened_after(after);
+                let compression = hastened.compression.expect("compression");
+                assert!(compression.noise_from > hastened.plain_until, "{steps} steps, {after}");
             }
         }
         let with_points = Schedule::new(&TrainOptions::default()).for_points(false);
