@@ -4,7 +4,7 @@ use serde::Deserialize;
 use serde_json::Value;
 use tcgs::domain::{JobId, JobMetrics, JobState, Phase, Problem, Progress};
 
-use super::Connection;
+use super::{Connection, ServerFlags};
 use crate::cli::{CliError, Report, train};
 
 /// The fields of a job that the commands use.
@@ -53,10 +53,13 @@ pub(super) fn read(whole: Value) -> Result<(Value, JobView), CliError> {
 }
 
 /// The outcome of a finished job: its metrics, or its problem as the command's own.
-pub(super) fn conclude(whole: Value, job: JobView) -> Result<Report, CliError> {
+pub(super) fn conclude(whole: Value, job: JobView, server: &ServerFlags) -> Result<Report, CliError> {
     match (job.state, job.error, job.metrics) {
         (JobState::Succeeded, _, Some(metrics)) => {
-            let text = format!("{}\nfetch     tcgs fetch {}", train::text(&metrics), job.id);
+            // What `fetch` takes without `--lambda`; the kind of a file is also its extension.
+            let extension = job.artifacts.first().map_or("tcgs", |file| &file.kind);
+            let fetch = server.command_line(&format!("fetch {} -o scene.{extension}", job.id));
+            let text = format!("{}\nfetch     {fetch}", train::text(&metrics));
             Ok(Report { text, json: whole })
         }
         (JobState::Failed, Some(problem), _) => Err(problem.into()),

@@ -62,12 +62,13 @@ pub(crate) fn run(args: &Args) -> Result<Report, CliError> {
         };
         let (whole, view) = job::read(made)?;
         if !args.wait {
-            let text = format!("job {}\nwatch     tcgs watch {}", view.id, view.id);
+            let watch = args.server.command_line(&format!("watch {}", view.id));
+            let text = format!("job {}\nwatch     {watch}", view.id);
             return Ok(Report { text, json: whole });
         }
         notice(format_args!("tcgs: job {}", view.id));
         let (whole, view) = follow(&connection, view.id).await?;
-        job::conclude(whole, view)
+        job::conclude(whole, view, &args.server)
     })
 }
 

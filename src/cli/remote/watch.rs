@@ -24,5 +24,5 @@ pub(crate) struct Args {
 pub(crate) fn run(args: &Args) -> Result<Report, CliError> {
     let connection = args.server.connect()?;
     let (whole, job) = super::run(follow(&connection, args.job))?;
-    job::conclude(whole, job)
+    job::conclude(whole, job, &args.server)
 }

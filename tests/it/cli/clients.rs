@@ -118,6 +118,32 @@ async fn a_dataset_is_submitted_watched_fetched_and_viewed() {
     }
 }
 
+/// Runs the command that `output` prints after a word, in a folder.
+async fn run_printed(word: &str, output: &Output, folder: &Path) -> Output {
+    let mut lines =
+        text(&output.stdout).lines().filter_map(|line| line.strip_prefix(word)?.split_once("tcgs "));
+    let (_, line) = lines.next().unwrap_or_else(|| panic!("no '{word}' in {}", text(&output.stdout)));
+    let mut command = program::command();
+    command.args(line.split_whitespace()).current_dir(folder);
+    tokio::task::spawn_blocking(move || command.output().expect("the binary runs")).await.expect("ran")
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn the_commands_that_are_printed_work_as_they_are() {
+    let server = Server::start(&Coverage::default()).await;
+    let folder = tempfile::tempdir().expect("a folder");
+    let url = format!("http://{}", server.address);
+    let zip = dataset(folder.path(), "succeed");
+    for (model, file) in [("tcgs", "scene.tcgs"), ("3dgs", "scene.ply"), ("scaffold", "scene.safetensors")] {
+        let submitted = run(line!["submit", zip, "--server", url, "--model", model]).await;
+        succeeded(&submitted);
+        let watched = run_printed("watch", &submitted, folder.path()).await;
+        succeeded(&watched);
+        succeeded(&run_printed("fetch", &watched, folder.path()).await);
+        assert_eq!(fs::read(folder.path().join(file)).expect("a file"), fakes::FILE);
+    }
+}
+
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_folder_is_packed_on_the_way_and_waited_for() {
     let server = Server::start(&Coverage::default()).await;
