@@ -37,11 +37,13 @@ const MAX_PAUSE: Duration = Duration::from_secs(30);
 pub(super) struct Connection {
     client: reqwest::Client,
     base: Url,
+    /// Where the key comes from, for messages.
+    key_source: String,
 }
 
 impl Connection {
     /// A connection to the service at `server`; sends nothing yet.
-    pub(super) fn new(server: &str, key: Option<&str>) -> Result<Self, CliError> {
+    pub(super) fn new(server: &str, key: Option<&str>, key_source: String) -> Result<Self, CliError> {
         let base =
             Url::parse(server).map_err(|fault| CliError::Usage(format!("--server: '{server}': {fault}")))?;
         if !matches!(base.scheme(), "http" | "https") || base.host_str().is_none() {
@@ -65,7 +67,7 @@ impl Connection {
             .redirect(reqwest::redirect::Policy::none())
             .build()
             .map_err(|fault| unusable(fault.to_string()))?;
-        Ok(Self { client, base })
+        Ok(Self { client, base, key_source })
     }
 
     /// A request to a path of the service.
@@ -77,7 +79,7 @@ impl Connection {
 
     /// Sends a request once; a response other than success is returned as its problem.
     pub(super) async fn send(&self, request: RequestBuilder) -> Result<Response, CliError> {
-        accepted(self.response(request).await?).await
+        self.accepted(self.response(request).await?).await
     }
 
     /// The response to a request, whatever its status. The time for it grows with the bytes to be sent.
@@ -107,7 +109,7 @@ impl Connection {
                     tries += 1;
                     sleep(wanted_pause(&response).unwrap_or(pause)).await;
                 }
-                Ok(response) => match accepted(response).await {
+                Ok(response) => match self.accepted(response).await {
                     Err(fault) if waited < UNDER_WAY_TIMEOUT && is_under_way(&fault) => {
                         pause = pause.min(UNDER_WAY_PAUSE);
                         waited += pause;
@@ -139,6 +141,27 @@ impl Connection {
     pub(super) async fn get<T: DeserializeOwned>(&self, path: &str) -> Result<T, CliError> {
         let ask = async || Ok(self.request(Method::GET, path)?.header(ACCEPT, "application/json"));
         document(self.send_with_retry(ask).await?).await
+    }
+
+    /// The response, or its problem if it is no success.
+    async fn accepted(&self, response: Response) -> Result<Response, CliError> {
+        let status = response.status();
+        if status.is_success() || status == StatusCode::NOT_MODIFIED {
+            return Ok(response);
+        }
+        let body = body(response).await?;
+        let mut problem = serde_json::from_slice::<Problem>(&body).unwrap_or_else(|_| {
+            let said: String = String::from_utf8_lossy(&body).chars().take(200).collect();
+            let detail = format!("the service answered {status}: {}", said.trim());
+            Problem::new(ProblemType::Refused, detail).with_status(status.as_u16())
+        });
+        if status == StatusCode::UNAUTHORIZED {
+            let source = &self.key_source;
+            problem.detail += &format!(
+                ". This command takes the key from {source}; --key-env and --key-file name another place"
+            );
+        }
+        Err(problem.into())
     }
 }
 
@@ -228,42 +251,27 @@ pub(super) fn wanted_pause(response: &Response) -> Option<Duration> {
     Some(Duration::from_secs(seconds))
 }
 
-async fn accepted(response: Response) -> Result<Response, CliError> {
-    let status = response.status();
-    if status.is_success() || status == StatusCode::NOT_MODIFIED {
-        return Ok(response);
-    }
-    let body = body(response).await?;
-    let mut problem = serde_json::from_slice::<Problem>(&body).unwrap_or_else(|_| {
-        let said: String = String::from_utf8_lossy(&body).chars().take(200).collect();
-        let detail = format!("the service answered {status}: {}", said.trim());
-        Problem::new(ProblemType::Refused, detail).with_status(status.as_u16())
-    });
-    if status == StatusCode::UNAUTHORIZED {
-        problem
-            .detail
-            .push_str(". This command takes the key from the variable TCGS_API_KEY, or see --key-file");
-    }
-    Err(problem.into())
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
 
+    fn connection(server: &str, key: Option<&str>) -> Result<Connection, CliError> {
+        Connection::new(server, key, "the variable TCGS_API_KEY".to_owned())
+    }
+
     #[test]
     fn addresses_and_keys_that_cannot_be_are_wrong_usage() {
         for server in ["", "localhost:8080", "ftp://a", "http://", "file:///tmp"] {
-            let fault = Connection::new(server, None).expect_err(server);
+            let fault = connection(server, None).expect_err(server);
             assert_eq!(fault.exit_status(), 2, "{server}: {fault}");
         }
-        let fault = Connection::new("http://a", Some("line\nbreak")).expect_err("no header");
+        let fault = connection("http://a", Some("line\nbreak")).expect_err("no header");
         assert!(fault.exit_status() == 2 && !fault.to_string().contains("break"), "{fault}");
     }
 
     #[test]
     fn time_for_a_response_grows_with_what_is_sent_and_creations_have_more() {
-        let connection = Connection::new("http://a", None).expect("a connection");
+        let connection = connection("http://a", None).expect("a connection");
         let limit = |method: Method, bytes: usize| {
             let request = connection.request(method, "/v1/uploads").expect("a request").body(vec![7; bytes]);
             time_limit(&request.build().expect("whole"))
@@ -276,8 +284,7 @@ mod tests {
 
     #[test]
     fn the_key_is_not_shown_and_paths_are_put_behind_the_address() {
-        let connection =
-            Connection::new("http://a.example/tcgs/", Some("tcgs_secret")).expect("a connection");
+        let connection = connection("http://a.example/tcgs/", Some("tcgs_secret")).expect("a connection");
         let request = connection.request(Method::GET, "/v1/jobs?limit=1").expect("a request");
         let request = request.build().expect("whole");
         assert_eq!(request.url().as_str(), "http://a.example/tcgs/v1/jobs?limit=1");

@@ -15,7 +15,12 @@ mod upload;
 pub(super) mod view;
 pub(super) mod watch;
 
-use std::{borrow::Cow, future::Future, path::PathBuf};
+use std::{
+    borrow::Cow,
+    env::{self, VarError},
+    future::Future,
+    path::PathBuf,
+};
 
 use tcgs::domain::{Problem, ProblemType};
 
@@ -35,9 +40,9 @@ pub(crate) struct ServerFlags {
     #[arg(long, value_name = "URL", default_value = DEFAULT_SERVER, env = "TCGS_SERVER")]
     server: String,
 
-    /// Environment variable with the API key, if the service requires one
-    #[arg(long, value_name = "NAME", default_value = DEFAULT_KEY_ENV)]
-    key_env: String,
+    /// Environment variable with the API key, if the service requires one [default: TCGS_API_KEY]
+    #[arg(long, value_name = "NAME")]
+    key_env: Option<String>,
 
     /// File that holds the API key, instead of the environment
     #[arg(long, value_name = "FILE")]
@@ -47,16 +52,39 @@ pub(crate) struct ServerFlags {
 impl ServerFlags {
     /// A connection that sends the key, if there is one.
     fn connect(&self) -> Result<Connection, CliError> {
-        let key = match &self.key_file {
-            Some(path) => {
+        let key = self.key()?;
+        let key = key.as_deref().map(str::trim).filter(|key| !key.is_empty());
+        Connection::new(&self.server, key, self.key_source())
+    }
+
+    /// The key. A variable that a flag names has to be set; without a flag there may be no key.
+    fn key(&self) -> Result<Option<String>, CliError> {
+        match (&self.key_file, &self.key_env) {
+            (Some(path), _) => {
                 let text = String::from_utf8(files::read(path)?);
-                Some(
-                    text.map_err(|_| CliError::Usage(format!("--key-file: {} is not text", path.display())))?,
-                )
+                let not_text = |_| CliError::Usage(format!("--key-file: {} is not text", path.display()));
+                text.map(Some).map_err(not_text)
             }
-            None => std::env::var(&self.key_env).ok(),
-        };
-        Connection::new(&self.server, key.as_deref().map(str::trim).filter(|key| !key.is_empty()))
+            (None, Some(name)) => {
+                // Not the error's own text, which would show the value.
+                let fault = match env::var(name) {
+                    Ok(key) if !key.trim().is_empty() => return Ok(Some(key)),
+                    Ok(_) => "is empty",
+                    Err(VarError::NotPresent) => "is not set",
+                    Err(VarError::NotUnicode(_)) => "is not text",
+                };
+                Err(CliError::Usage(format!("--key-env: the variable {name} {fault}")))
+            }
+            (None, None) => Ok(env::var(DEFAULT_KEY_ENV).ok()),
+        }
+    }
+
+    /// Where the key comes from, for messages.
+    fn key_source(&self) -> String {
+        match &self.key_file {
+            Some(path) => format!("the file {}", path.display()),
+            None => format!("the variable {}", self.key_env.as_deref().unwrap_or(DEFAULT_KEY_ENV)),
+        }
     }
 }
 
@@ -68,8 +96,8 @@ impl ServerFlags {
         if self.server != DEFAULT_SERVER {
             repeat("--server", &self.server);
         }
-        if self.key_env != DEFAULT_KEY_ENV {
-            repeat("--key-env", &self.key_env);
+        if let Some(name) = &self.key_env {
+            repeat("--key-env", name);
         }
         if let Some(file) = &self.key_file {
             repeat("--key-file", &file.to_string_lossy());

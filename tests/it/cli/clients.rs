@@ -351,9 +351,38 @@ async fn who_is_not_let_in_is_told_where_the_command_takes_its_key_from() {
     let job = server.succeeded().await;
     let job = job.rsplit('/').next().expect("an id");
     server.key(&[Scope::Read]).await;
-    let output = run(line!["watch", job, "--server", format!("http://{}", server.address)]).await;
-    failed(&output, 3);
-    assert!(text(&output.stderr).contains("TCGS_API_KEY"), "{}", text(&output.stderr));
+    let folder = tempfile::tempdir().expect("a folder");
+    let file = folder.path().join("key.txt");
+    fs::write(&file, "tcgs_nobodys").expect("writes");
+    let set = |name| vec![(name, "tcgs_nobodys".to_owned())];
+    for (flags, environment, source) in [
+        (Vec::new(), Vec::new(), "the variable TCGS_API_KEY"),
+        (line!["--key-env", "MY_KEY"], set("MY_KEY"), "the variable MY_KEY"),
+        (line!["--key-file", file], set("TCGS_API_KEY"), "key.txt"),
+    ] {
+        let watch = line!["watch", job, "--server", format!("http://{}", server.address)];
+        let output = run_with([watch, flags].concat(), environment).await;
+        failed(&output, 3);
+        assert!(text(&output.stderr).contains(source), "{}", text(&output.stderr));
+        if source != "the variable TCGS_API_KEY" {
+            assert!(!text(&output.stderr).contains("TCGS_API_KEY"), "{}", text(&output.stderr));
+        }
+    }
+}
+
+#[tokio::test]
+async fn a_variable_that_is_named_for_the_key_has_to_hold_one() {
+    let job = JobId(uuid::Uuid::nil()).to_string();
+    for (environment, fault) in [
+        (Vec::new(), "the variable MY_KEY is not set"),
+        (vec![("MY_KEY", "  ".to_owned())], "the variable MY_KEY is empty"),
+    ] {
+        let usual = ("TCGS_API_KEY", "tcgs_from_environment".to_owned());
+        let watch = line!["watch", job, "--key-env", "MY_KEY", "--json"];
+        let output = run_with(watch, [environment, vec![usual]].concat()).await;
+        assert_eq!(failed(&output, 2)["type"], "urn:tcgs:problem:usage");
+        assert!(text(&output.stderr).contains(fault), "{}", text(&output.stderr));
+    }
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
