@@ -19,7 +19,8 @@ pub(crate) struct Args {
     /// Folder or zip: Blender, nerfstudio or COLMAP layout
     dataset: PathBuf,
 
-    /// The file to write: .tcgs; for the models scaffold .safetensors, 3dgs .ply
+    /// The file to write: .tcgs; for the models scaffold .safetensors, 3dgs .ply. With --rd-curve it is the file of the first
+    /// lambda; the others, and the first again, have lambda in their names, as in OUT.lambda-0.001.tcgs
     #[arg(short, long, value_name = "OUT.tcgs")]
     output: PathBuf,
 

@@ -582,7 +582,7 @@ pub static TRAIN_OPTIONS: [TrainOption; 13] = [
         kind: OptionKind::Positives(MAX_CURVE_POINTS),
         default: None,
         help: Some(
-            "Values of lambda, each for a file of its own: training is shared up to where lambda matters. OUT is the file of the first; the others, and the first again, have lambda in their names, as in OUT.lambda-0.001.tcgs",
+            "Values of lambda, each for a file of its own: training is shared up to where lambda matters",
         ),
         set: |options, text| {
             let list = text.strip_prefix('[').and_then(|list| list.strip_suffix(']')).unwrap_or(text);

@@ -1,17 +1,17 @@
 //! `tcgs submit`: uploads a dataset to a service and creates a job from it.
 
-use std::path::PathBuf;
+use std::{collections::BTreeMap, path::PathBuf};
 
 use reqwest::{
     Body, Method,
     header::{CONTENT_LENGTH, CONTENT_TYPE},
 };
-use serde_json::{Map, Value};
-use tcgs::domain::{Bytes, TrainOptions};
+use serde_json::{Map, Value, json};
+use tcgs::domain::{Bytes, MAX_NAME, Metadata, TrainOptions, valid_name};
 use uuid::Uuid;
 
 use super::{Connection, ServerFlags, archive::Archive, connection::document, follow::follow, job, upload};
-use crate::cli::{CliError, Report, notice::notice, options::TrainFlags};
+use crate::cli::{CliError, Report, notice::notice, options::TrainFlags, wiring};
 
 /// Largest part; one is held in memory.
 const MAX_PART_BYTES: u64 = 256 << 20;
@@ -28,6 +28,14 @@ pub(crate) struct Args {
     #[command(flatten)]
     options: TrainFlags,
 
+    /// What to call the job
+    #[arg(long, value_parser = name)]
+    name: Option<String>,
+
+    /// A label of the job; may be given several times
+    #[arg(long, value_name = "KEY=VALUE", value_parser = label)]
+    metadata: Vec<(String, String)>,
+
     /// Priority: jobs of a higher one start first
     #[arg(long, value_name = "N", allow_negative_numbers = true)]
     priority: Option<i32>,
@@ -40,6 +48,10 @@ pub(crate) struct Args {
     #[arg(long, value_name = "BYTES", default_value = "16MiB", value_parser = part_size)]
     part_bytes: Bytes,
 
+    /// Leave the check of the dataset to the service, whose version may take what this one refuses
+    #[arg(long)]
+    unchecked: bool,
+
     /// Wait for the job to end, and exit with its status
     #[arg(long)]
     wait: bool,
@@ -49,11 +61,14 @@ pub(crate) struct Args {
     pub(crate) json: bool,
 }
 
-/// Sends the dataset and, if asked to, waits.
+/// Checks the dataset, sends it and, if asked to, waits.
 pub(crate) fn run(args: &Args) -> Result<Report, CliError> {
     let options = args.options.validated()?;
     let connection = args.server.connect()?;
-    let request = request(args, &options);
+    let request = request(args, &options)?;
+    if !args.unchecked {
+        wiring::check_dataset(&args.dataset)?;
+    }
     let archive = Archive::open(&args.dataset)?;
     super::run(async {
         let made = match upload::scene_of(&connection, &archive, args.part_bytes.0).await? {
@@ -80,23 +95,50 @@ fn part_size(text: &str) -> Result<Bytes, String> {
     }
 }
 
+fn name(text: &str) -> Result<String, String> {
+    let fault = || format!("a name has 1 to {MAX_NAME} characters, none of them a control character");
+    valid_name(text).map(str::to_owned).ok_or_else(fault)
+}
+
+fn label(text: &str) -> Result<(String, String), String> {
+    let (key, value) = text.split_once('=').ok_or("a label is KEY=VALUE")?;
+    Ok((key.to_owned(), value.to_owned()))
+}
+
+/// The labels of the job.
+fn metadata(labels: &[(String, String)]) -> Result<Metadata, CliError> {
+    let mut by_key = BTreeMap::new();
+    for (key, value) in labels {
+        if by_key.insert(key.clone(), value.clone()).is_some() {
+            return Err(CliError::Usage(format!("--metadata: '{key}' is given twice")));
+        }
+    }
+    Metadata::try_from(by_key).map_err(|fault| CliError::Usage(format!("--metadata: {fault}")))
+}
+
 /// The fields of the request for a job; those that are left to the service are absent.
-fn request(args: &Args, options: &TrainOptions) -> Map<String, Value> {
-    let Ok(Value::Object(mut fields)) = serde_json::to_value(options) else { return Map::new() };
+fn request(args: &Args, options: &TrainOptions) -> Result<Map<String, Value>, CliError> {
+    let metadata = metadata(&args.metadata)?;
+    let Ok(Value::Object(mut fields)) = serde_json::to_value(options) else { return Ok(Map::new()) };
     fields.retain(|_, value| !value.is_null() && value.as_array().is_none_or(|items| !items.is_empty()));
     fields.extend(args.priority.map(|priority| ("priority".to_owned(), priority.into())));
     fields.extend(args.deadline.map(|seconds| ("deadline_s".to_owned(), seconds.into())));
-    fields
+    fields.extend(args.name.as_ref().map(|name| ("name".to_owned(), name.as_str().into())));
+    fields.extend((!metadata.is_empty()).then(|| ("metadata".to_owned(), json!(metadata))));
+    Ok(fields)
 }
 
-/// The same as a query.
-fn query(fields: &Map<String, Value>) -> Vec<(&str, String)> {
+/// The same as a query: a list in one parameter, an object in one for each key.
+fn query(fields: &Map<String, Value>) -> Vec<(String, String)> {
     let text = |value: &Value| value.as_str().map_or_else(|| value.to_string(), str::to_owned);
-    let list = |value: &Value| match value {
-        Value::Array(items) => items.iter().map(text).collect::<Vec<_>>().join(","),
-        single => text(single),
+    let pairs = |(name, value): (&String, &Value)| match value {
+        Value::Object(members) => {
+            members.iter().map(|(key, value)| (format!("{name}[{key}]"), text(value))).collect()
+        }
+        Value::Array(items) => vec![(name.clone(), items.iter().map(text).collect::<Vec<_>>().join(","))],
+        single => vec![(name.clone(), text(single))],
     };
-    fields.iter().map(|(name, value)| (&**name, list(value))).collect()
+    fields.iter().flat_map(pairs).collect()
 }
 
 /// Creates a job from the archive in one request. Its idempotency key makes it safe to repeat.
@@ -160,10 +202,10 @@ mod tests {
         for options in [TrainOptions::default(), chosen] {
             let line = ["submit", "dataset"];
             let args = Line::try_parse_from(line).expect("parses").args;
-            let fields = request(&args, &options);
+            let fields = request(&args, &options).expect("a request");
             let mut read = TrainOptions::default();
             for (name, value) in query(&fields) {
-                set(&mut read, name, &value);
+                set(&mut read, &name, &value);
             }
             assert_eq!(read, options);
         }

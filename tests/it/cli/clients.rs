@@ -73,8 +73,19 @@ async fn a_dataset_is_submitted_watched_fetched_and_viewed() {
     let folder = tempfile::tempdir().expect("a folder");
     let url = format!("http://{}", server.address);
     let zip = dataset(folder.path(), "succeed");
-    let submitted =
-        run(line!["submit", zip, "--server", url, "--iterations", "7", "--seed", "3", "--json"]).await;
+    let submitted = run(line![
+        "submit",
+        zip,
+        "--server",
+        url,
+        "--unchecked",
+        "--iterations",
+        "7",
+        "--seed",
+        "3",
+        "--json"
+    ])
+    .await;
     let job = succeeded(&submitted);
     assert_eq!((&job["options"]["iterations"], &job["options"]["seed"]), (&json!(7), &json!(3)));
     let id = job["id"].as_str().expect("an id").to_owned();
@@ -135,7 +146,7 @@ async fn the_commands_that_are_printed_work_as_they_are() {
     let url = format!("http://{}", server.address);
     let zip = dataset(folder.path(), "succeed");
     for (model, file) in [("tcgs", "scene.tcgs"), ("3dgs", "scene.ply"), ("scaffold", "scene.safetensors")] {
-        let submitted = run(line!["submit", zip, "--server", url, "--model", model]).await;
+        let submitted = run(line!["submit", zip, "--server", url, "--unchecked", "--model", model]).await;
         succeeded(&submitted);
         let watched = run_printed("watch", &submitted, folder.path()).await;
         succeeded(&watched);
@@ -174,6 +185,21 @@ async fn a_folder_is_packed_on_the_way_and_waited_for() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_dataset_is_checked_before_it_is_sent() {
+    let server = Server::start(&Coverage::default()).await;
+    let folder = tempfile::tempdir().expect("a folder");
+    let scene = folder.path().join("scene");
+    sample::write(&scene, &sample::Settings { side: 16, points: 50, seed: 1 }).expect("writes");
+    fs::remove_file(scene.join("images/view_07.png")).expect("removes");
+    let submit = line!["submit", scene, "--server", format!("http://{}", server.address), "--json"];
+    let refused = failed(&run(submit.clone()).await, 3);
+    assert!(refused.to_string().contains("view_07.png"), "{refused}");
+    assert_eq!(server.get("/v1/jobs").await.json()["jobs"], json!([]), "nothing was sent");
+    let sent = succeeded(&run([submit, line!["--unchecked"]].concat()).await);
+    assert_eq!(sent["state"], "queued", "the check of this service's stand-in takes everything");
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_download_that_broke_off_is_gone_on_with_and_a_wrong_one_is_not_kept() {
     let server = Server::start(&Coverage::default()).await;
     let job = server.succeeded().await;
@@ -206,8 +232,10 @@ async fn what_the_service_refuses_and_what_fails_there_is_the_commands_failure()
     let server = Server::start(&Coverage::default()).await;
     let folder = tempfile::tempdir().expect("a folder");
     let url = format!("http://{}", server.address);
-    let submit =
-        |wish: &str| run(line!["submit", dataset(folder.path(), wish), "--server", url, "--wait", "--json"]);
+    let submit = |wish: &str| {
+        let zip = dataset(folder.path(), wish);
+        run(line!["submit", zip, "--server", url, "--unchecked", "--wait", "--json"])
+    };
 
     let refused = failed(&submit("bad zip").await, 3);
     assert_eq!(
@@ -451,14 +479,22 @@ async fn a_large_dataset_goes_in_parts_and_becomes_a_job_of_a_scene() {
     for part in [bytes / 4, bytes - 1] {
         let line =
             line!["submit", zip, "--server", url, "--part-bytes", part.to_string(), "--wait", "--json"];
-        let job = succeeded(&run([line, line!["--without", "knn,masks", "--priority", "-3"]].concat()).await);
+        let named = line!["--name", " a garden ", "--metadata", "site=north", "--metadata", "note=a=b&c, d"];
+        let chosen = line!["--without", "knn,masks", "--priority", "-3"];
+        let job = succeeded(&run([line, named, chosen].concat()).await);
+        assert_eq!(job["name"], "a garden");
+        assert_eq!(job["metadata"], json!({ "site": "north", "note": "a=b&c, d" }));
         assert!(job["scene_id"].is_string(), "what came in parts is a scene: {job:#}");
         assert_eq!(job["dataset"]["sha256"], Digest::of(&fs::read(&zip).expect("a file")).to_string());
         assert_eq!(job["options"]["without"], json!(["knn", "masks"]));
         assert_eq!(job["priority"], -3);
     }
-    let whole = run(line!["submit", zip, "--server", url, "--part-bytes", bytes.to_string(), "--json"]).await;
-    assert!(succeeded(&whole)["scene_id"].is_null(), "one part is one request");
+    let line = line!["submit", zip, "--server", url, "--part-bytes", bytes.to_string(), "--json"];
+    let named = line!["--name", "a garden", "--metadata", "site=north", "--metadata", "note=a=b&c, d"];
+    let whole = succeeded(&run([line, named].concat()).await);
+    assert!(whole["scene_id"].is_null(), "one part is one request");
+    assert_eq!(whole["name"], "a garden");
+    assert_eq!(whole["metadata"], json!({ "site": "north", "note": "a=b&c, d" }));
 }
 
 /// A service that refuses the first requests to begin an upload and to make a scene.

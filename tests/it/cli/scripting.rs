@@ -75,6 +75,16 @@ fn help_and_version_go_to_standard_output() {
 }
 
 #[test]
+fn only_the_help_of_a_command_that_writes_files_speaks_of_their_names() {
+    let named = "OUT.lambda-0.001.tcgs";
+    for (command, writes) in [("train", true), ("submit", false)] {
+        let help = tcgs(&[command, "--help"]);
+        assert_eq!(text(&help.stdout).contains(named), writes, "{command}");
+        assert!(text(&help.stdout).contains("--rd-curve"), "{command}");
+    }
+}
+
+#[test]
 fn wrong_usage_is_status_2_and_says_what_is_wrong() {
     let cases: &[(&[&str], &str)] = &[
         (&[], "Usage"),
@@ -99,6 +109,10 @@ fn wrong_usage_is_status_2_and_says_what_is_wrong() {
         (&["sample", "d", "--side", "2"], "--side"),
         (&["submit", "d", "--server", "nowhere"], "--server"),
         (&["submit", "d", "--iterations", "0"], "--iterations"),
+        (&["submit", "d", "--name", " "], "1 to 100 characters"),
+        (&["submit", "d", "--metadata", "site"], "KEY=VALUE"),
+        (&["submit", "d", "--metadata", "the site=north"], "--metadata: a key has"),
+        (&["submit", "d", "--metadata", "a=1", "--metadata", "a=2"], "'a' is given twice"),
         (&["watch", "17"], "not a job id"),
         (&["fetch", "17", "-o", "o"], "not a job id"),
         (&["view", JOB, "-o", "o.png"], "--frame"),
