@@ -67,7 +67,7 @@ impl CliError {
             CliError::Problem(problem) => problem.clone(),
             CliError::Reported { problem, .. } => (**problem).clone(),
             CliError::Stopped { advice, .. } => {
-                Problem::new(ProblemType::Stopped, format!("the run was stopped before its end; {advice}"))
+                Problem::new(ProblemType::Stopped, format!("a signal ended the command; {advice}"))
             }
         }
     }

@@ -101,6 +101,14 @@ enum Command {
     Watch(remote::watch::Args),
     /// Download the file of a job of a service
     Fetch(remote::fetch::Args),
+    /// List the jobs of a service, newest first
+    Jobs(remote::jobs::Args),
+    /// Cancel a job of a service
+    Cancel(remote::actions::JobArgs),
+    /// Queue a failed or cancelled job of a service again
+    Retry(remote::actions::RetryArgs),
+    /// Delete an ended job of a service with its files
+    Delete(remote::actions::JobArgs),
     /// Save a view of a job's scene that the service renders
     View(remote::view::Args),
     /// Write the bundled ray-traced scene as a dataset
@@ -143,6 +151,9 @@ impl Command {
             Command::Submit(args) => args.json,
             Command::Watch(args) => args.json,
             Command::Fetch(args) => args.json,
+            Command::Jobs(args) => args.json,
+            Command::Cancel(args) | Command::Delete(args) => args.json,
+            Command::Retry(args) => args.of.json,
             Command::Serve(_)
             | Command::Worker(_)
             | Command::Viewer(_)
@@ -183,6 +194,10 @@ impl Command {
             Command::Submit(args) => remote::submit::run(&args),
             Command::Watch(args) => remote::watch::run(&args),
             Command::Fetch(args) => remote::fetch::run(&args),
+            Command::Jobs(args) => remote::jobs::run(&args),
+            Command::Cancel(args) => remote::actions::cancel(&args),
+            Command::Retry(args) => remote::actions::retry(&args),
+            Command::Delete(args) => remote::actions::delete(&args),
             Command::View(args) => remote::view::run(&args),
             Command::Sample(args) => sample::run(&args),
             Command::Keys(args) => keys::run(&args),

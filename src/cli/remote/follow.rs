@@ -1,6 +1,6 @@
 //! Follows a job to its end: by its event stream, resumed after each break, else by polling.
 
-use std::time::Duration;
+use std::{io, time::Duration};
 
 use reqwest::{Method, StatusCode, header::ACCEPT};
 use serde_json::Value;
@@ -8,12 +8,12 @@ use tcgs::domain::{Event, EventKind, JobId, Phase, ProblemType, Progress};
 use tokio::time::Instant;
 
 use super::{
-    Connection,
+    Connection, ServerFlags,
     connection::{next_piece, sleep},
     job::{self, JobView},
     sse::{Message, Parser},
 };
-use crate::cli::{CliError, progress::Display};
+use crate::cli::{CliError, progress::Display, signals::Signals};
 
 /// Pause before reconnecting to the stream, and between polls.
 const PAUSE: Duration = Duration::from_secs(1);
@@ -39,8 +39,12 @@ fn is_away(fault: &CliError) -> bool {
     problem.is(ProblemType::Unreachable) || matches!(problem.status, 502..=504)
 }
 
-/// Waits until the job has ended and shows its progress.
-pub(super) async fn follow(connection: &Connection, id: JobId) -> Result<(Value, JobView), CliError> {
+/// Waits until the job has ended and shows its progress. A signal ends the waiting, not the job.
+pub(super) async fn follow(
+    connection: &Connection,
+    id: JobId,
+    server: &ServerFlags,
+) -> Result<(Value, JobView), CliError> {
     let mut follower = Follower {
         connection,
         id,
@@ -49,9 +53,28 @@ pub(super) async fn follow(connection: &Connection, id: JobId) -> Result<(Value,
         phase: Phase::Queued,
         progress: Progress::default(),
     };
-    let ended = follower.outcome().await;
+    // Before anything is shown, so that no signal is missed.
+    let signals = Signals::listen();
+    let ended = tokio::select! {
+        status = next(signals) => Err(stopped(status, id, server)),
+        ended = follower.outcome() => ended,
+    };
     follower.display.finish();
     ended
+}
+
+/// Waits for a signal; for ever, if none can be received.
+async fn next(signals: io::Result<Signals>) -> i32 {
+    match signals {
+        Ok(mut signals) => signals.next().await,
+        Err(_) => std::future::pending().await,
+    }
+}
+
+fn stopped(status: i32, id: JobId, server: &ServerFlags) -> CliError {
+    let [cancel, watch] = ["cancel", "watch"].map(|command| server.command_line(&format!("{command} {id}")));
+    let advice = format!("the job goes on; cancel it with '{cancel}', or follow it again with '{watch}'");
+    CliError::Stopped { status: u8::try_from(status).unwrap_or(1), advice }
 }
 
 struct Follower<'a> {

@@ -52,6 +52,12 @@ pub(super) fn read(whole: Value) -> Result<(Value, JobView), CliError> {
     Ok((whole, view))
 }
 
+/// The report of a job that was created.
+pub(super) fn created(whole: Value, job: &JobView, server: &ServerFlags) -> Report {
+    let watch = server.command_line(&format!("watch {}", job.id));
+    Report { text: format!("job {}\nwatch     {watch}", job.id), json: whole }
+}
+
 /// The outcome of a finished job: its metrics, or its problem as the command's own.
 pub(super) fn conclude(whole: Value, job: JobView, server: &ServerFlags) -> Result<Report, CliError> {
     match (job.state, job.error, job.metrics) {

@@ -1,14 +1,16 @@
-//! The commands for a service: `submit`, `watch`, `fetch`, `view`.
+//! The commands for a service: `submit`, `watch`, `fetch`, `view`, `jobs`, `cancel`, `retry`, `delete`.
 //!
 //! The key comes from the environment or a file and is never shown. A problem response fails the command with the same exit status as
 //! the local error would. Interrupted transfers are resumed a limited number of times.
 
+pub(super) mod actions;
 mod archive;
 mod bytes_bar;
 mod connection;
 pub(super) mod fetch;
 mod follow;
 mod job;
+pub(super) mod jobs;
 mod sse;
 pub(super) mod submit;
 mod upload;

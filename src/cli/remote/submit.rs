@@ -77,12 +77,10 @@ pub(crate) fn run(args: &Args) -> Result<Report, CliError> {
         };
         let (whole, view) = job::read(made)?;
         if !args.wait {
-            let watch = args.server.command_line(&format!("watch {}", view.id));
-            let text = format!("job {}\nwatch     {watch}", view.id);
-            return Ok(Report { text, json: whole });
+            return Ok(job::created(whole, &view, &args.server));
         }
         notice(format_args!("tcgs: job {}", view.id));
-        let (whole, view) = follow(&connection, view.id).await?;
+        let (whole, view) = follow(&connection, view.id, &args.server).await?;
         job::conclude(whole, view, &args.server)
     })
 }

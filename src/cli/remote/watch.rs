@@ -23,6 +23,6 @@ pub(crate) struct Args {
 /// Follows the job; its failure is the command's.
 pub(crate) fn run(args: &Args) -> Result<Report, CliError> {
     let connection = args.server.connect()?;
-    let (whole, job) = super::run(follow(&connection, args.job))?;
+    let (whole, job) = super::run(follow(&connection, args.job, &args.server))?;
     job::conclude(whole, job, &args.server)
 }

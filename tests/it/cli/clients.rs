@@ -29,7 +29,7 @@ use crate::support::{
 };
 
 /// Runs a command beside the service.
-async fn run(arguments: Vec<OsString>) -> Output {
+pub(super) async fn run(arguments: Vec<OsString>) -> Output {
     run_with(arguments, Vec::new()).await
 }
 
@@ -41,22 +41,23 @@ async fn run_with(arguments: Vec<OsString>, environment: Vec<(&'static str, Stri
 
 /// Arguments of several types as one line.
 macro_rules! line {
-    ($($argument:expr),+ $(,)?) => { vec![$(OsString::from(&$argument)),+] };
+    ($($argument:expr),+ $(,)?) => { vec![$(std::ffi::OsString::from(&$argument)),+] };
 }
+pub(super) use line;
 
-fn text(stream: &[u8]) -> &str {
+pub(super) fn text(stream: &[u8]) -> &str {
     std::str::from_utf8(stream).expect("UTF-8")
 }
 
 #[track_caller]
-fn succeeded(output: &Output) -> Value {
+pub(super) fn succeeded(output: &Output) -> Value {
     assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
     serde_json::from_slice(&output.stdout).unwrap_or(Value::Null)
 }
 
 /// Asserts an exit status and gives the problem on standard output.
 #[track_caller]
-fn failed(output: &Output, status: i32) -> Value {
+pub(super) fn failed(output: &Output, status: i32) -> Value {
     assert_eq!(output.status.code(), Some(status), "{}", text(&output.stderr));
     serde_json::from_slice(&output.stdout).unwrap_or(Value::Null)
 }

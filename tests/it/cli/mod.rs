@@ -8,6 +8,7 @@ mod clients;
 mod data_folder;
 #[cfg(unix)]
 mod database;
+mod jobs;
 mod keys;
 mod options;
 mod priority;

@@ -9,9 +9,9 @@ use serde_json::Value;
 
 use crate::support::program;
 
-const COMMANDS: [&str; 16] = [
-    "keys", "submit", "watch", "fetch", "view", "serve", "worker", "train", "encode", "decode", "render",
-    "eval", "export", "inspect", "sample", "doctor",
+const COMMANDS: [&str; 20] = [
+    "keys", "submit", "watch", "fetch", "view", "jobs", "cancel", "retry", "delete", "serve", "worker",
+    "train", "encode", "decode", "render", "eval", "export", "inspect", "sample", "doctor",
 ];
 
 /// An id that could be a job's.
@@ -115,6 +115,11 @@ fn wrong_usage_is_status_2_and_says_what_is_wrong() {
         (&["submit", "d", "--metadata", "a=1", "--metadata", "a=2"], "'a' is given twice"),
         (&["watch", "17"], "not a job id"),
         (&["fetch", "17", "-o", "o"], "not a job id"),
+        (&["jobs", "--state", "queued,idle"], "'idle' is not one of queued"),
+        (&["jobs", "--limit", "0"], "--limit"),
+        (&["cancel", "17"], "not a job id"),
+        (&["retry", JOB, "--deadline", "soon"], "--deadline"),
+        (&["delete"], "JOB"),
         (&["view", JOB, "-o", "o.png"], "--frame"),
         (&["view", JOB, "--position", "1,2,3", "-o", "o.png"], "--look-at"),
         (&["view", JOB, "--frame", "a", "-o", "o.gif"], ".png"),
