@@ -153,6 +153,7 @@ problem_types! {
     UnexpectedAnswer = 502, "unexpected-answer", "The service's answer is not one of its contract";
     Unavailable = 503, "unavailable", "Something needed is missing";
     Stopped = 500, "stopped", "Stopped";
+    JobCancelled = 500, "job-cancelled", "The job was cancelled";
     NoDatasets = 422, "no-datasets", "There is nothing to train on";
     ExternalFormatsFailed = 500, "external-formats-failed", "Conversion to other formats failed";
     NoPlace = 422, "no-place", "The tables have no place in the document";

@@ -2,7 +2,7 @@
 
 use serde::Deserialize;
 use serde_json::Value;
-use tcgs::domain::{JobId, JobMetrics, JobState, Phase, Problem, Progress};
+use tcgs::domain::{JobId, JobMetrics, JobState, Phase, Problem, ProblemType, Progress};
 
 use super::{Connection, ServerFlags};
 use crate::cli::{CliError, Report, train};
@@ -69,7 +69,11 @@ pub(super) fn conclude(whole: Value, job: JobView, server: &ServerFlags) -> Resu
             Ok(Report { text, json: whole })
         }
         (JobState::Failed, Some(problem), _) => Err(problem.into()),
-        (JobState::Cancelled, ..) => Err(CliError::Stopped { status: 1, advice: String::new() }),
+        (JobState::Cancelled, ..) => {
+            let retry = server.command_line(&format!("retry {}", job.id));
+            let detail = format!("job {} has no file; '{retry}' queues it again", job.id);
+            Err(Problem::new(ProblemType::JobCancelled, detail).into())
+        }
         (state, ..) => Ok(Report { text: format!("job {} is {}", job.id, state.name()), json: whole }),
     }
 }

@@ -264,8 +264,10 @@ async fn what_the_service_refuses_and_what_fails_there_is_the_commands_failure()
     let watching = tokio::spawn(run(line!["watch", running, "--server", url, "--json"]));
     server.reaches(&running, "running").await;
     server.post(&format!("{running}/cancel")).await;
-    let stopped = failed(&watching.await.expect("ran"), 1);
-    assert_eq!(stopped["type"], "urn:tcgs:problem:stopped");
+    let watched = watching.await.expect("ran");
+    assert_eq!(failed(&watched, 1)["type"], "urn:tcgs:problem:job-cancelled");
+    let retry = format!("tcgs retry {} --server {url}", running.rsplit('/').next().expect("an id"));
+    assert!(text(&watched.stderr).contains(&retry), "{}", text(&watched.stderr));
 
     // Nobody listens on a port that was just given back.
     let free = tokio::net::TcpListener::bind("127.0.0.1:0").await.expect("a port");
