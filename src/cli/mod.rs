@@ -10,6 +10,7 @@ mod adapter;
 mod backup;
 mod bench;
 mod camera;
+mod check;
 mod config;
 mod decode;
 mod doctor;
@@ -81,6 +82,8 @@ enum Command {
     Worker(worker::Args),
     /// Render views and exports for API replicas that share a database and blobs
     Viewer(viewer::Args),
+    /// Check a dataset and show what it holds
+    Check(check::Args),
     /// Train a scene from a dataset and write it as one compressed file
     Train(train::Args),
     /// Write decoded attributes (as `decode` writes them) as a compressed file
@@ -135,6 +138,7 @@ impl Command {
     /// Whether the answer is to be one JSON document.
     fn wants_json(&self) -> bool {
         match self {
+            Command::Check(args) => args.json,
             Command::Train(args) => args.json,
             Command::Decode(args) => args.json,
             Command::Eval(args) => args.json,
@@ -184,6 +188,7 @@ impl Command {
             Command::Serve(args) => serve::run(*args, log_format),
             Command::Worker(args) => worker::run(args),
             Command::Viewer(args) => viewer::run(args),
+            Command::Check(args) => check::run(&args),
             Command::Train(args) => train::run(&args),
             Command::Encode(args) => encode::run(&args),
             Command::Decode(args) => decode::run(&args),

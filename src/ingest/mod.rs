@@ -64,7 +64,7 @@ use self::{
     survey::{Survey, SurveyedFrame, survey},
     tree::{Purpose, Tree},
 };
-use crate::domain::{Bytes, Dataset, DatasetSummary, Frame, NamedCamera, Photograph, Problem, Split};
+use crate::domain::{Bytes, Dataset, DatasetSummary, Frame, NamedCamera, Photograph, Problem};
 
 /// Reads a dataset from a directory or a zip file, whichever `path` is.
 ///
@@ -111,10 +111,16 @@ pub fn check(path: &Path) -> Result<DatasetSummary, Problem> {
 /// # Errors
 /// As [`load`].
 pub fn cameras(path: &Path) -> Result<Vec<NamedCamera>, Problem> {
-    let views = survey_by(Deadline::NONE, path, &Limits::default())?.views.into_iter();
-    let camera =
-        |SurveyedFrame { frame, camera, .. }| NamedCamera { name: frame.name, split: frame.split, camera };
-    Ok(views.map(camera).collect())
+    Ok(survey_by(Deadline::NONE, path, &Limits::default())?.into_cameras())
+}
+
+/// What [`check`] and [`cameras`] return, from one reading of the dataset.
+///
+/// # Errors
+/// As [`load`].
+pub fn check_with_cameras(path: &Path) -> Result<(DatasetSummary, Vec<NamedCamera>), Problem> {
+    let survey = survey_by(Deadline::NONE, path, &Limits::default())?;
+    Ok((survey.summary(), survey.into_cameras()))
 }
 
 /// As [`load_cancellable`], within other limits.
@@ -229,18 +235,5 @@ fn survey_by(deadline: Deadline, path: &Path, limits: &Limits) -> Result<Survey,
 }
 
 fn check_by(deadline: Deadline, path: &Path, limits: &Limits) -> Result<DatasetSummary, IngestError> {
-    let survey = survey_by(deadline, path, limits)?;
-    let count = |split| survey.views.iter().filter(|view| view.frame.split == split).count();
-    let pixels = survey.views.iter().map(|view| {
-        let k = view.camera.intrinsics;
-        u64::from(k.width) * u64::from(k.height)
-    });
-    Ok(DatasetSummary {
-        layout: survey.layout,
-        train: count(Split::Train),
-        test: count(Split::Test),
-        pixels: pixels.sum(),
-        points: survey.point_count,
-        notes: survey.notes,
-    })
+    Ok(survey_by(deadline, path, limits)?.summary())
 }

@@ -14,7 +14,7 @@ use super::{
     transforms,
     tree::Tree,
 };
-use crate::domain::{Camera, Image, Intrinsics, Layout, PointCloud};
+use crate::domain::{Camera, DatasetSummary, Image, Intrinsics, Layout, NamedCamera, PointCloud, Split};
 
 /// Farthest camera from the origin that single precision can still work with.
 const MAX_CAMERA_DISTANCE: f64 = 1e9;
@@ -29,6 +29,34 @@ pub(super) struct Survey {
     /// How many there are, if the dataset has any.
     pub(super) point_count: Option<usize>,
     pub(super) notes: Vec<String>,
+}
+
+impl Survey {
+    pub(super) fn summary(&self) -> DatasetSummary {
+        let count = |split| self.views.iter().filter(|view| view.frame.split == split).count();
+        let pixels = self.views.iter().map(|view| {
+            let k = view.camera.intrinsics;
+            u64::from(k.width) * u64::from(k.height)
+        });
+        DatasetSummary {
+            layout: self.layout,
+            train: count(Split::Train),
+            test: count(Split::Test),
+            pixels: pixels.sum(),
+            points: self.point_count,
+            notes: self.notes.clone(),
+        }
+    }
+
+    /// The cameras of the frames, in their order.
+    pub(super) fn into_cameras(self) -> Vec<NamedCamera> {
+        let camera = |SurveyedFrame { frame, camera, .. }| NamedCamera {
+            name: frame.name,
+            split: frame.split,
+            camera,
+        };
+        self.views.into_iter().map(camera).collect()
+    }
 }
 
 /// One frame and how its image is processed.

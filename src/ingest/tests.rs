@@ -9,7 +9,7 @@ use super::{
     fixtures::{SIZE, Set, blender, colmap, file, nerfstudio, png},
     *,
 };
-use crate::domain::{Convention, DatasetSummary, Layout};
+use crate::domain::{Convention, DatasetSummary, Layout, Split};
 
 fn refused(set: &Set) -> Problem {
     let directory = set.directory();
@@ -132,6 +132,8 @@ fn nerfstudio_and_colmap_hold_out_every_eighth_image_by_name() {
                 notes: dataset.notes.clone(),
             }
         );
+        let cameras = cameras(&written.path).expect("cameras");
+        assert_eq!(check_with_cameras(&written.path), Ok((summary, cameras)));
     }
 }
 

@@ -22,8 +22,8 @@ use std::{
 use tcgs::{
     codec::{self, EncodeError, EncodeSettings, Encoded},
     domain::{
-        AnchorScene, Background, Camera, Dataset, Digest, Image, MemoryLimits, NamedCamera, Problem,
-        ProblemType, Scene, Scores, Split,
+        AnchorScene, Background, Camera, Dataset, DatasetSummary, Digest, Image, MemoryLimits, NamedCamera,
+        Problem, ProblemType, Scene, Scores, Split,
     },
     eval::{Lpips, band_errors, mean_scores_with, score_view},
     export::anchors,
@@ -84,6 +84,11 @@ pub(crate) fn pack(folder: &Path, archive: &mut std::fs::File) -> Result<(), Pro
 /// Checks a dataset without reading its pixels.
 pub(crate) fn check_dataset(path: &Path) -> Result<(), Problem> {
     ingest::check(path).map(drop).map_err(|problem| named(problem, path))
+}
+
+/// What a dataset holds and its cameras, checked without reading its pixels.
+pub(crate) fn survey_dataset(path: &Path) -> Result<(DatasetSummary, Vec<NamedCamera>), Problem> {
+    ingest::check_with_cameras(path).map_err(|problem| named(problem, path))
 }
 
 /// The cameras of a dataset, without reading its pixels.

@@ -4,6 +4,7 @@ mod backup;
 mod baselines;
 mod bench_report;
 mod bench_views;
+mod check;
 mod clients;
 mod data_folder;
 #[cfg(unix)]

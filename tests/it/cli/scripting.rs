@@ -9,9 +9,9 @@ use serde_json::Value;
 
 use crate::support::program;
 
-const COMMANDS: [&str; 20] = [
+const COMMANDS: [&str; 21] = [
     "keys", "submit", "watch", "fetch", "view", "jobs", "cancel", "retry", "delete", "serve", "worker",
-    "train", "encode", "decode", "render", "eval", "export", "inspect", "sample", "doctor",
+    "train", "encode", "decode", "render", "eval", "export", "inspect", "sample", "check", "doctor",
 ];
 
 /// An id that could be a job's.

@@ -1,0 +1,102 @@
+//! `tcgs check`: whether a dataset can be trained on, and what it holds.
+
+use std::path::PathBuf;
+
+use serde::Serialize;
+use tcgs::domain::{DatasetSummary, Intrinsics, NamedCamera};
+
+use super::{CliError, Report, wiring};
+
+/// Arguments of `tcgs check`.
+#[derive(Debug, clap::Args)]
+pub(crate) struct Args {
+    /// Folder or zip: Blender, nerfstudio or COLMAP layout
+    dataset: PathBuf,
+
+    /// Print one JSON document
+    #[arg(long)]
+    pub(super) json: bool,
+}
+
+/// What a dataset holds.
+#[derive(Debug, Serialize)]
+struct Checked {
+    #[serde(flatten)]
+    summary: DatasetSummary,
+    /// Width and height of the images with the fewest and the most pixels, as they are trained on.
+    smallest: [u32; 2],
+    largest: [u32; 2],
+}
+
+/// Checks tables in full and images by their headers; an unusable dataset is the command's failure.
+pub(crate) fn run(args: &Args) -> Result<Report, CliError> {
+    let (summary, cameras) = wiring::survey_dataset(&args.dataset)?;
+    let (smallest, largest) = sizes(&cameras);
+    let checked = Checked { summary, smallest, largest };
+    Ok(Report::new(text(&checked), &checked))
+}
+
+fn sizes(cameras: &[NamedCamera]) -> ([u32; 2], [u32; 2]) {
+    let sizes = cameras.iter().map(|NamedCamera { camera, .. }| {
+        let Intrinsics { width, height, .. } = camera.intrinsics;
+        [width, height]
+    });
+    let pixels = |[width, height]: &[u32; 2]| u64::from(*width) * u64::from(*height);
+    (sizes.clone().min_by_key(pixels).unwrap_or_default(), sizes.max_by_key(pixels).unwrap_or_default())
+}
+
+fn text(checked: &Checked) -> String {
+    let Checked { summary, smallest, largest } = checked;
+    let size = |[width, height]: &[u32; 2]| format!("{width}x{height}");
+    let sizes =
+        if smallest == largest { size(smallest) } else { format!("{} to {}", size(smallest), size(largest)) };
+    let points = match summary.points {
+        None | Some(0) => "none: training starts from random points".to_owned(),
+        Some(count) => count.to_string(),
+    };
+    let mut text = format!(
+        "layout       {}\nphotographs  {} to train on, {} held out\nsize         {sizes} pixels, as trained on\n\
+         points       {points}\n",
+        summary.layout, summary.train, summary.test,
+    );
+    for note in &summary.notes {
+        text += &format!("note         {note}\n");
+    }
+    text
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::DVec3;
+    use tcgs::domain::{Camera, Layout, Pose, Split};
+
+    use super::*;
+
+    fn camera(width: u32, height: u32) -> NamedCamera {
+        let intrinsics = Intrinsics { fx: 9.0, fy: 9.0, cx: 4.0, cy: 4.0, width, height };
+        let pose = Pose::look_at(DVec3::X, DVec3::ZERO, DVec3::Z).expect("a view");
+        let camera = Camera::new(intrinsics, pose).expect("a camera");
+        NamedCamera { name: "a.png".to_owned(), split: Split::Train, camera }
+    }
+
+    #[test]
+    fn sizes_are_those_with_the_fewest_and_the_most_pixels() {
+        let cameras = [camera(800, 600), camera(600, 900), camera(1600, 100)];
+        assert_eq!(sizes(&cameras), ([1600, 100], [600, 900]));
+    }
+
+    #[test]
+    fn the_text_names_a_range_of_sizes_missing_points_and_every_note() {
+        let notes = vec!["images undistorted: 3".to_owned(), "every eighth is held out".to_owned()];
+        let summary =
+            DatasetSummary { layout: Layout::Colmap, train: 7, test: 1, pixels: 9, points: None, notes };
+        let checked = Checked { summary, smallest: [800, 600], largest: [1600, 1200] };
+        assert_eq!(
+            text(&checked),
+            "layout       colmap\nphotographs  7 to train on, 1 held out\n\
+             size         800x600 to 1600x1200 pixels, as trained on\n\
+             points       none: training starts from random points\n\
+             note         images undistorted: 3\nnote         every eighth is held out\n"
+        );
+    }
+}
