@@ -113,7 +113,10 @@ mod tests {
         assert_eq!(options.background, Background::White);
         let sized = parse(&["--max-bytes", "500kB"]).validated().expect("possible");
         assert_eq!(sized.max_bytes, Some(500_000));
-        for flags in [["--iterations", "0"], ["--lambda", "0"], ["--max-bytes", "0"]] {
+        for text in ["0", "5 pounds", "-1"] {
+            assert!(Line::try_parse_from(["train", "--max-bytes", text]).is_err(), "{text}");
+        }
+        for flags in [["--iterations", "0"], ["--lambda", "0"]] {
             let failure = parse(&flags).validated().expect_err("impossible");
             assert_eq!(failure.exit_status(), 2);
             assert!(failure.to_string().starts_with(flags[0]), "{failure}");
