@@ -129,13 +129,14 @@ fn a_file_that_is_cut_off_is_refused_by_every_command() {
     let golden = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/golden/shell_v1.tcgs");
     let whole = folder.path().join("whole.safetensors");
     succeeds(line!["decode", golden, "-o", whole]);
-    let (cut, out) = (folder.path().join("cut.safetensors"), folder.path().join("out.png"));
+    let cut = folder.path().join("cut.safetensors");
+    let [tensors, file] = ["out.safetensors", "out.tcgs"].map(|name| folder.path().join(name));
     let bytes = std::fs::read(&whole).expect("a file");
     std::fs::write(&cut, &bytes[..bytes.len() - 7]).expect("writes");
     for arguments in [
         line!["inspect", cut],
-        line!["decode", cut, "-o", out],
-        line!["encode", cut, "-o", out],
+        line!["decode", cut, "-o", tensors],
+        line!["encode", cut, "-o", file],
         line!["eval", cut, folder.path()],
     ] {
         let refused = tcgs(&arguments);
@@ -143,5 +144,5 @@ fn a_file_that_is_cut_off_is_refused_by_every_command() {
         let said = String::from_utf8_lossy(&refused.stderr).into_owned();
         assert!(said.contains("cut.safetensors"), "{said}");
     }
-    assert!(!out.exists());
+    assert!(!tensors.exists() && !file.exists());
 }

@@ -216,6 +216,29 @@ fn write_converter(path: &Path) {
 
 #[cfg(unix)]
 #[test]
+fn a_run_whose_conversion_fails_is_kept_without_it() {
+    use std::os::unix::fs::PermissionsExt as _;
+
+    let folder = tempfile::tempdir().expect("a folder");
+    let at = |name: &str| folder.path().join(name);
+    let (sets, out, matrix, script) = (at("sets"), at("out"), at("m.toml"), at("convert.sh"));
+    write_set(&sets.join("ball"));
+    fs::write(&script, "#!/bin/sh\nexit 3\n").expect("writes");
+    fs::set_permissions(&script, fs::Permissions::from_mode(0o755)).expect("executable");
+    let runs = "[[runs]]\nmodels = [\"3dgs\"]\nsteps = [2]\n";
+    fs::write(&matrix, format!("external_formats = \"convert.sh\"\nreference_views = 0\n{runs}"))
+        .expect("writes");
+    let mut arguments = report(&sets, &matrix, &out);
+    arguments.push(OsStr::new("--json"));
+    let done = tcgs(arguments);
+    let said = String::from_utf8_lossy(&done.stderr).into_owned();
+    assert!(done.status.success() && said.contains("without other programs' formats"), "{said}");
+    let done: Value = serde_json::from_slice(&done.stdout).expect("JSON");
+    assert_eq!(done["runs"][0]["external_formats"], Value::Array(Vec::new()));
+}
+
+#[cfg(unix)]
+#[test]
 fn sizes_are_told_by_section_beside_the_baselines_and_other_formats() {
     let folder = tempfile::tempdir().expect("a folder");
     let at = |name: &str| folder.path().join(name);

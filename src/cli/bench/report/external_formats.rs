@@ -31,6 +31,18 @@ pub(super) struct ExternalFile {
     pub(super) ssim: Option<f64>,
 }
 
+/// Checks that there is a script, before runs that take hours.
+pub(super) fn check(script: &Path) -> Result<(), CliError> {
+    let problem = |detail: String| {
+        Problem::new(ProblemType::ExternalFormatsFailed, detail).in_file(script.display().to_string())
+    };
+    match fs::metadata(script) {
+        Ok(found) if found.is_file() => Ok(()),
+        Ok(_) => Err(problem("it is not a file".to_owned()).into()),
+        Err(fault) => Err(problem(fault.to_string()).into()),
+    }
+}
+
 /// The scene of a run in the formats that `script` makes, measured on the held-out views; none without a script. `open` prepares the
 /// renderer of a file.
 pub(super) fn measure(

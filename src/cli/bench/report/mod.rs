@@ -118,13 +118,17 @@ pub(crate) fn run(args: &Args) -> Result<Report, CliError> {
     let interruption = Interruption::listen();
     let mut renders = JsonLines::open(&args.output.join("renders.jsonl"))?;
     let folder = args.matrix.parent().unwrap_or(Path::new("."));
+    let external_formats = matrix.external_formats.as_ref().map(|script| folder.join(script));
+    if let Some(script) = &external_formats {
+        external_formats::check(script)?;
+    }
     let mut runner = Runner {
         adapter: args.adapter.adapter.clone(),
         lpips: args.lpips.lpips.clone(),
         sets,
         records,
         imported,
-        external_formats: matrix.external_formats.as_ref().map(|script| folder.join(script)),
+        external_formats,
         export_formats: matrix.export_formats.iter().map(|format| format.0).collect(),
         reference: ReferenceViews { views: matrix.reference_views, max_side: matrix.reference_side.max(1) },
         session: SystemClock.now().to_string(),
