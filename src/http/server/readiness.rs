@@ -3,6 +3,7 @@
 use std::{
     collections::BTreeMap,
     future::Future,
+    sync::{Mutex, PoisonError},
     time::{Duration, Instant},
 };
 
@@ -13,11 +14,17 @@ use axum::{
     response::IntoResponse,
 };
 use serde_json::json;
-use tokio::{sync::Mutex, time::timeout};
+use tokio::{
+    sync::watch::{self, error::RecvError},
+    time::timeout,
+};
 
 use crate::{
     domain::{Problem, ProblemType},
-    http::{problem::ApiResult, state::AppState},
+    http::{
+        problem::{ApiResult, ProblemResponse},
+        state::AppState,
+    },
     store::{BlobError, StoreError},
 };
 
@@ -36,9 +43,12 @@ pub(crate) struct Checks {
     answers: Cached<Answers>,
 }
 
-/// What was found last, and when.
+/// The latest search, and what it found.
 #[derive(Debug)]
-struct Cached<T>(Mutex<Option<(Instant, T)>>);
+struct Cached<T>(Mutex<Option<Search<T>>>);
+
+/// What a search finds, and when; `None` while it is under way.
+type Search<T> = watch::Receiver<Option<(Instant, T)>>;
 
 impl<T> Default for Cached<T> {
     fn default() -> Self {
@@ -46,18 +56,43 @@ impl<T> Default for Cached<T> {
     }
 }
 
-impl<T: Clone> Cached<T> {
+impl<T: Clone + Send + Sync + 'static> Cached<T> {
     /// What was found less than `age` ago, or else what `find` finds. Concurrent callers wait for the same.
-    async fn get(&self, age: Duration, find: impl Future<Output = T>) -> T {
-        let mut cached = self.0.lock().await;
-        if let Some((at, found)) = &*cached
-            && at.elapsed() < age
-        {
-            return found.clone();
+    ///
+    /// # Errors
+    /// If `find` panics.
+    async fn get(
+        &self,
+        age: Duration,
+        find: impl Future<Output = T> + Send + 'static,
+    ) -> Result<T, RecvError> {
+        let mut search = self.search(age, find);
+        loop {
+            if let Some((_, found)) = &*search.borrow_and_update() {
+                return Ok(found.clone());
+            }
+            search.changed().await?;
         }
-        let found = find.await;
-        *cached = Some((Instant::now(), found.clone()));
-        found
+    }
+
+    /// The latest search, or a new one if that ended longer ago than `age` or panicked.
+    fn search(&self, age: Duration, find: impl Future<Output = T> + Send + 'static) -> Search<T> {
+        let mut latest = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let fresh = latest.as_ref().filter(|search| match &*search.borrow() {
+            Some((at, _)) => at.elapsed() < age,
+            None => search.has_changed().is_ok(),
+        });
+        if let Some(search) = fresh {
+            return search.clone();
+        }
+        let (sender, search) = watch::channel(None);
+        // A task of its own, so that it ends and is cached also if the client that asked has gone.
+        tokio::spawn(async move {
+            let found = find.await;
+            sender.send_replace(Some((Instant::now(), found)));
+        });
+        *latest = Some(search.clone());
+        search
     }
 }
 
@@ -80,8 +115,9 @@ struct Disk {
 ///
 /// Dead workers do not make the service unready: requests are answered, jobs wait, and the supervisor restarts workers.
 pub(crate) async fn readyz(State(state): State<AppState>) -> ApiResult {
-    let disk = state.checks.disk.get(CACHE_TIME, disk(&state)).await;
-    let answers = state.checks.answers.get(ANSWER_TIME, answers(&state)).await;
+    let panicked = |error| ProblemResponse::internal(&error);
+    let disk = state.checks.disk.get(CACHE_TIME, disk(state.clone())).await.map_err(panicked)?;
+    let answers = state.checks.answers.get(ANSWER_TIME, answers(state.clone())).await.map_err(panicked)?;
     let drain = if state.draining.is_cancelled() { "the server is shutting down" } else { OK };
     let database = if answers.database == OK { disk.database } else { answers.database };
     let checks: BTreeMap<String, String> = [
@@ -128,8 +164,8 @@ async fn check<E: std::error::Error + 'static>(
     }
 }
 
-async fn answers(state: &AppState) -> Answers {
-    Answers { database: database(state).await, migrations: migrations(state).await }
+async fn answers(state: AppState) -> Answers {
+    Answers { database: database(&state).await, migrations: migrations(&state).await }
 }
 
 async fn database(state: &AppState) -> String {
@@ -144,7 +180,7 @@ async fn migrations(state: &AppState) -> String {
     }
 }
 
-async fn disk(state: &AppState) -> Disk {
+async fn disk(state: AppState) -> Disk {
     Disk {
         // A database may answer reads and fail writes: on a full disk, or behind a lock that is never released.
         database: check(state.store().probe(), "it cannot be written", |error: &StoreError| {
@@ -155,7 +191,7 @@ async fn disk(state: &AppState) -> Disk {
             error.is_disk_full().then_some("no room is left on their disk")
         })
         .await,
-        space: space(state),
+        space: space(&state),
     }
 }
 
@@ -168,5 +204,49 @@ fn space(state: &AppState) -> String {
             tracing::error!(error = &error as &dyn std::error::Error, "cannot read the free space: {error}");
             "the free space of the disk cannot be read".to_owned()
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::{
+        Arc,
+        atomic::{AtomicU32, Ordering},
+    };
+
+    use tokio_util::sync::CancellationToken;
+
+    use super::*;
+
+    const LONG: Duration = Duration::from_secs(600);
+
+    #[tokio::test]
+    async fn what_a_client_that_has_gone_asked_for_is_found_once_and_cached() {
+        let (cached, searches) = (Cached::default(), Arc::new(AtomicU32::new(0)));
+        let released = CancellationToken::new();
+        let find = || {
+            let (searches, released) = (Arc::clone(&searches), released.clone());
+            async move {
+                let number = 1 + searches.fetch_add(1, Ordering::SeqCst);
+                released.cancelled().await;
+                number
+            }
+        };
+        for _ in 0..10 {
+            let cut_off = timeout(Duration::from_millis(5), cached.get(LONG, find())).await;
+            assert!(cut_off.is_err(), "the search takes longer");
+        }
+        released.cancel();
+        assert_eq!(cached.get(LONG, find()).await.ok(), Some(1), "all asked the same search");
+        let again = cached.get(Duration::ZERO, find()).await.ok();
+        assert_eq!(again, Some(2), "what is too old is searched for again");
+        assert_eq!(searches.load(Ordering::SeqCst), 2);
+    }
+
+    #[tokio::test]
+    async fn a_search_that_panicked_is_begun_again() {
+        let cached = Cached::default();
+        assert!(cached.get(LONG, async { panic!("as the test wants it") }).await.is_err());
+        assert_eq!(cached.get(LONG, async { 1 }).await.ok(), Some(1));
     }
 }
