@@ -19,8 +19,6 @@ use governor::{
     nanos::Nanos,
     state::{InMemoryState, NotKeyed, keyed::HashMapStateStore},
 };
-use jiff::Timestamp;
-
 use crate::{
     domain::{Clock, KeyId},
     http::{config::AccessRules, server::client_address::ClientAddress},
@@ -50,7 +48,8 @@ type PerAddress = RateLimiter<IpAddr, HashMapStateStore<IpAddr>, Ticks, NoOpMidd
 /// The bucket of one key, and when its use was last recorded.
 struct Use {
     limit: Option<(NonZeroU32, Arc<Limiter>)>,
-    touched_at: Option<Timestamp>,
+    /// In monotonic time.
+    touched_at: Option<Duration>,
 }
 
 /// How long until the next request is accepted.
@@ -122,13 +121,17 @@ impl Throttle {
 
     /// Whether the use of a key should be recorded now; true once in [`TOUCH_EVERY`].
     pub(super) fn is_due(&self, key: &KeyRecord) -> bool {
-        let now = self.ticks.0.now();
+        let (now, elapsed) = (self.ticks.0.now(), self.ticks.0.elapsed());
         let mut uses = self.uses.lock().unwrap_or_else(PoisonError::into_inner);
         let entry = uses.entry(key.id).or_insert_with(Use::none);
-        let latest = entry.touched_at.max(key.last_used_at);
-        let due = latest.is_none_or(|latest| now.duration_since(latest).unsigned_abs() >= TOUCH_EVERY);
+        // The record has the database's time, which may be far from this machine's, so it decides only until the first touch.
+        let due = match (entry.touched_at, key.last_used_at) {
+            (Some(touched), _) => elapsed.saturating_sub(touched) >= TOUCH_EVERY,
+            (None, Some(used)) => now.duration_since(used).unsigned_abs() >= TOUCH_EVERY,
+            (None, None) => true,
+        };
         if due {
-            entry.touched_at = Some(now);
+            entry.touched_at = Some(elapsed);
         }
         due
     }
@@ -146,7 +149,7 @@ impl Use {
 
 #[cfg(test)]
 mod tests {
-    use jiff::SignedDuration;
+    use jiff::{SignedDuration, Timestamp};
     use uuid::Uuid;
 
     use super::*;
@@ -228,5 +231,30 @@ mod tests {
         clock.advance(SignedDuration::from_secs(61));
         assert!(throttle.is_due(&key));
         assert!(!throttle.is_due(&key));
+    }
+
+    #[test]
+    fn a_clock_that_is_set_or_differs_from_the_databases_does_not_make_every_request_a_write() {
+        let (throttle, clock) = throttle(AccessRules::default());
+        let used_at = |at| KeyRecord { last_used_at: Some(at), ..key(1, None) };
+        let ahead = clock.now() + SignedDuration::from_mins(2);
+        assert!(throttle.is_due(&used_at(ahead)), "once for each start");
+        assert!(!throttle.is_due(&used_at(ahead)));
+        clock.advance(SignedDuration::from_secs(61));
+        assert!(throttle.is_due(&used_at(ahead)));
+        clock.set_by(-SignedDuration::from_hours(1));
+        assert!(!throttle.is_due(&used_at(ahead)));
+        clock.advance(SignedDuration::from_secs(61));
+        assert!(throttle.is_due(&used_at(ahead)));
+        assert!(!throttle.is_due(&used_at(ahead)));
+    }
+
+    #[test]
+    fn a_use_that_another_process_has_just_recorded_is_not_recorded_again() {
+        let (throttle, clock) = throttle(AccessRules::default());
+        let used = KeyRecord { last_used_at: Some(clock.now()), ..key(1, None) };
+        assert!(!throttle.is_due(&used));
+        clock.advance(SignedDuration::from_secs(61));
+        assert!(throttle.is_due(&used));
     }
 }
