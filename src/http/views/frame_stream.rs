@@ -20,7 +20,7 @@ use bytes::Bytes;
 use futures_util::stream;
 use tokio::{
     sync::mpsc::{self, Sender},
-    time::{Interval, MissedTickBehavior, interval, sleep, timeout},
+    time::{Interval, MissedTickBehavior, interval, sleep},
 };
 use tracing::Instrument as _;
 
@@ -118,9 +118,7 @@ impl FrameStream {
         let (sender, receiver) = mpsc::channel(1);
         // The channel has capacity for one.
         let _ = sender.try_send(Piece::More(first));
-        let max_stall = state.limits.body_idle_timeout;
-        let producer =
-            FrameProducer { state: state.clone(), slot, encoder, stream: self, max_stall, render_time };
+        let producer = FrameProducer { state: state.clone(), slot, encoder, stream: self, render_time };
         tokio::spawn(producer.run(clock, sender).in_current_span());
         let body = stream::unfold(Some(receiver), |receiver| async {
             let mut receiver = receiver?;
@@ -172,24 +170,24 @@ struct FrameProducer {
     slot: QueueSlot,
     encoder: BodyEncoder,
     stream: FrameStream,
-    /// How long a client may read nothing.
-    max_stall: Duration,
     /// How long the last picture took to render.
     render_time: Duration,
 }
 
 impl FrameProducer {
-    /// Renders and sends pictures until the last, or until the client disconnects or stops reading.
+    /// Renders and sends pictures until the last, or until the connection ends.
+    ///
+    /// It sets no time to read a picture in: the connection ends if its client reads too little.
     async fn run(mut self, mut clock: Option<Interval>, sender: Sender<Piece>) {
         let mut early = pin!(self.stream.stop.early(self.state.clone()));
         for index in 1..self.stream.len() {
             // Reserve first, so that nothing is rendered before the client can read it.
             let slot = tokio::select! {
                 () = &mut early => break,
-                slot = timeout(self.max_stall, sender.reserve()) => slot,
+                slot = sender.reserve() => slot,
             };
-            let Ok(Ok(slot)) = slot else {
-                tracing::debug!("the client has gone or takes nothing more after {index} pictures");
+            let Ok(slot) = slot else {
+                tracing::debug!("the client has gone after {index} pictures");
                 return;
             };
             let piece = tokio::select! {
@@ -206,7 +204,7 @@ impl FrameProducer {
             }
         }
         // A client that has disconnected misses nothing.
-        let _ = timeout(self.max_stall, sender.send(Piece::End)).await;
+        let _ = sender.send(Piece::End).await;
     }
 
     async fn piece(&mut self, clock: &mut Option<Interval>, index: u64) -> ApiResult<Bytes> {

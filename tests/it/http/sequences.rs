@@ -1,5 +1,7 @@
 //! Sequences of pictures: streams, animations, large batches, and their fairness to other requests.
 
+use std::time::Duration;
+
 use image::AnimationDecoder as _;
 use serde_json::{Value, json};
 use tcgs::{domain::Scope, http::config::RequestLimits};
@@ -307,6 +309,34 @@ pub(super) async fn nothing_is_rendered_that_the_client_does_not_take(coverage: 
     drop(open);
 }
 
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_client_that_reads_steadily_gets_every_picture_however_long_one_takes() {
+    let limits = RequestLimits { body_idle_timeout: Duration::from_millis(50), ..Setup::default().limits };
+    let server = Server::start_with(&Coverage::default(), Setup { limits, ..Setup::default() }).await;
+    let job = server.succeeded().await;
+    // Eight megabytes each, which take half a second to read below and sockets hold one of.
+    let view = |fx: usize| {
+        json!({
+            "camera_to_world": [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]],
+            "fx": 50 + fx, "width": 1448, "height": 1448,
+        })
+    };
+    let views: Vec<Value> = (0..4).map(view).collect();
+    let body = json!({ "views": views, "output": "depth", "format": "npy" });
+    let mut open = server.open("POST", &format!("{job}/views"), |r| r.json(&body)).await;
+    assert_eq!(open.status(), 200);
+    let content_type = open.headers()["content-type"].to_str().expect("ASCII").to_owned();
+    let (mut taken, mut pause_at) = (Vec::new(), 1 << 20);
+    while let Some(chunk) = open.chunk().await.expect("not broken off") {
+        taken.extend_from_slice(&chunk);
+        if taken.len() >= pause_at {
+            pause_at = taken.len() + (1 << 20);
+            tokio::time::sleep(Duration::from_millis(50)).await;
+        }
+    }
+    assert_eq!(parts(&taken, &content_type).len(), 4);
+}
+
 pub(super) async fn sequences_are_rendered_while_a_job_trains(coverage: Coverage) {
     let server = Server::start(&coverage).await;
     let job = server.succeeded().await;
@@ -348,10 +378,7 @@ async fn a_stream_whose_client_has_gone_makes_room() {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_stream_of_views_ends_soon_after_its_key_is_revoked() {
-    let limits = RequestLimits {
-        key_recheck_interval: std::time::Duration::from_millis(5),
-        ..Setup::default().limits
-    };
+    let limits = RequestLimits { key_recheck_interval: Duration::from_millis(5), ..Setup::default().limits };
     let server = Server::start_with(&Coverage::default(), Setup { limits, ..Setup::default() }).await;
     let job = server.succeeded().await;
     let key = server.key(&[Scope::Admin]).await;
