@@ -1,9 +1,11 @@
 //! Copies of checkpoints in a bucket, so that a job is resumed on another machine.
 //!
 //! Each attempt copies its folder to names of its own, so an attempt that has lost its lease without noticing writes where nobody reads. A
-//! file is copied whenever it has changed; those of a folder are independent of each other.
+//! file is copied whenever it has changed; those of a folder are independent of each other. So a job is resumed from the newest copy of each
+//! file, also if its latest attempt ended before it had copied them all; once one has, the copies of the attempts before it are removed.
 
 use std::{
+    cmp::Reverse,
     collections::BTreeMap,
     error::Error,
     fs, io,
@@ -38,17 +40,19 @@ struct Copier {
     files: SharedFiles,
     /// Folder of the attempt.
     folder: PathBuf,
-    /// Its name in the bucket.
-    name: String,
+    /// The attempt, whose name the copies have in the bucket.
+    lease: Lease,
     /// What has been copied, as it was then.
     copied: BTreeMap<PathBuf, (SystemTime, u64)>,
+    /// Whether the copies of the attempts before have been removed.
+    is_only: bool,
 }
 
 impl CheckpointCopies {
     /// Copies `folder`, that of the attempt `lease`, every so often from now on.
     pub(super) fn start(files: SharedFiles, folder: PathBuf, lease: &Lease, every: Duration) -> Self {
-        let name = format!("{}/{}", of_job(lease.job), checkpoints::attempt_name(lease.attempt));
-        let mut copier = Copier { files, folder, name, copied: BTreeMap::new() };
+        let lease = lease.clone();
+        let mut copier = Copier { files, folder, lease, copied: BTreeMap::new(), is_only: false };
         let stop = CancellationToken::new();
         let stopped = stop.clone();
         let copying = tokio::spawn(async move {
@@ -79,6 +83,8 @@ impl CheckpointCopies {
 impl Copier {
     /// Copies what has changed. A failure costs at most the steps since the copy before.
     async fn copy(&mut self) {
+        let name = of_attempt(self.lease.job, self.lease.attempt);
+        let mut is_complete = true;
         for (path, version) in files_below(&self.folder) {
             if self.copied.get(&path) == Some(&version) {
                 continue;
@@ -86,16 +92,51 @@ impl Copier {
             let Some(relative) = path.strip_prefix(&self.folder).ok().and_then(Path::to_str) else {
                 continue;
             };
-            match self.files.save(&format!("{}/{relative}", self.name), &path).await {
+            match self.files.save(&format!("{name}/{relative}"), &path).await {
                 Ok(()) => drop(self.copied.insert(path, version)),
                 // Replaced meanwhile by one that is copied next time.
-                Err(BlobError::Io(error)) if error.kind() == io::ErrorKind::NotFound => {}
+                Err(BlobError::Io(error)) if error.kind() == io::ErrorKind::NotFound => is_complete = false,
                 Err(error) => {
+                    is_complete = false;
                     tracing::warn!(error = &error as &dyn Error, "a checkpoint is not copied: {error}");
                 }
             }
         }
+        if is_complete && !self.copied.is_empty() && !self.is_only {
+            self.remove_earlier().await;
+        }
     }
+
+    /// Removes the copies of the attempts before, which nobody needs once all files have been copied.
+    async fn remove_earlier(&mut self) {
+        let Lease { job, attempt, .. } = self.lease;
+        let removed = async {
+            for earlier in attempts_before(&self.files, job, attempt).await? {
+                self.files.remove_below(&of_attempt(job, earlier)).await?;
+            }
+            Ok::<(), BlobError>(())
+        };
+        match removed.await {
+            Ok(()) => self.is_only = true,
+            Err(error) => {
+                tracing::warn!(error = &error as &dyn Error, "earlier checkpoints are not removed: {error}");
+            }
+        }
+    }
+}
+
+/// The folder with the copies of an attempt's checkpoints.
+fn of_attempt(job: JobId, attempt: u32) -> String {
+    format!("{}/{}", of_job(job), checkpoints::attempt_name(attempt))
+}
+
+/// The attempts of a job before `before` that have copies, the newest first.
+async fn attempts_before(files: &SharedFiles, job: JobId, before: u32) -> Result<Vec<u32>, BlobError> {
+    let folders = files.folders(&of_job(job)).await?;
+    let attempts = folders.iter().filter_map(|name| checkpoints::attempt_number(name));
+    let mut attempts: Vec<u32> = attempts.filter(|attempt| *attempt < before).collect();
+    attempts.sort_by_key(|attempt| Reverse(*attempt));
+    Ok(attempts)
 }
 
 /// The checkpoint files below a folder, with the time of their last change and their length. Names that begin with a dot are files that
@@ -149,23 +190,26 @@ pub(super) async fn fetch(
     }
 }
 
-/// Brings a job's newest checkpoint of an attempt before `before`, and returns whether it has one.
+/// Brings a job's newest checkpoint of the attempts before `before`, and returns whether it has one.
 async fn fetch_job(files: &SharedFiles, root: &Path, job: JobId, before: u32) -> Result<bool, BlobError> {
-    let attempts = files.folders(&of_job(job)).await?;
-    let attempts = attempts.iter().filter_map(|name| checkpoints::attempt_number(name));
-    let newest = attempts.filter(|attempt| *attempt < before).max();
+    let attempts = attempts_before(files, job, before).await?;
     let here = checkpoints::newest_attempt(root, job, before);
-    let Some(newest) = newest.filter(|newest| here.is_none_or(|here| here < *newest)) else {
+    let newest = attempts.first().copied().filter(|newest| here.is_none_or(|here| here < *newest));
+    let Some(newest) = newest else {
         return Ok(here.is_some());
     };
-    let name = format!("{}/{}", of_job(job), checkpoints::attempt_name(newest));
     let folder = checkpoints::folder(root, job);
     // Complete before it has its name, so that no half of it is resumed from.
     let partial = folder.join(format!("fetched-{newest}"));
     let _ = fs::remove_dir_all(&partial);
-    for file in files.below(&name).await? {
-        if let Some(relative) = file.strip_prefix(&name) {
-            files.load(&file, &partial.join(relative.trim_start_matches('/'))).await?;
+    for attempt in attempts {
+        let name = of_attempt(job, attempt);
+        for file in files.below(&name).await? {
+            let Some(relative) = file.strip_prefix(&name) else { continue };
+            let to = partial.join(relative.trim_start_matches('/'));
+            if !to.exists() {
+                files.load(&file, &to).await?;
+            }
         }
     }
     fs::rename(&partial, folder.join(checkpoints::attempt_name(newest)))?;

@@ -25,7 +25,7 @@ use crate::support::{
     server::quick_worker,
 };
 
-/// Notes whether it finds a checkpoint, leaves one, and ends with its worker.
+/// Notes whether it finds a checkpoint, leaves one of two files, and ends with its worker.
 struct OneRun {
     found: Arc<Mutex<Vec<bool>>>,
     shutdown: CancellationToken,
@@ -43,8 +43,9 @@ impl RunJob for OneRun {
         let Resume::IfPossible(resume) = &checkpoints.resume else { panic!("{checkpoints:?}") };
         self.found.lock().expect("not poisoned").push(resume.join("step").exists());
         let keep = checkpoints.keep.as_ref().expect("they are kept");
-        fs::create_dir_all(keep).expect("made");
+        fs::create_dir_all(keep.join("branch-0")).expect("made");
         fs::write(keep.join("step"), "400").expect("written");
+        fs::write(keep.join("branch-0").join("step"), "400").expect("written");
         self.shutdown.cancel();
         Err(JobError::Hold(Problem::new(ProblemType::StorageFull, "as the test wants it")))
     }
@@ -81,14 +82,51 @@ impl Fixture {
             worker::serve(self.store.clone(), self.blobs.clone(), Arc::new(runner), config, shutdown);
         worker.await.expect("an orderly end");
     }
+
+    /// A queued job.
+    async fn job(&self) -> JobId {
+        let dataset = self.blobs.put(Bytes::from_static(b"dataset")).await.expect("published");
+        let job = JobId(Uuid::from_u128(1));
+        self.store.create_job(NewJob::new(job, TrainOptions::default(), dataset)).await.expect("queued");
+        job
+    }
+
+    /// The attempts of a job that have copies in the bucket.
+    async fn copied_attempts(&self, job: JobId) -> Vec<String> {
+        let files = self.blobs.shared_files().expect("a bucket");
+        files.folders(&format!("checkpoints/{job}")).await.expect("listed")
+    }
+}
+
+#[tokio::test]
+async fn of_a_job_that_is_held_again_and_again_one_copy_is_kept() {
+    let fixture = Fixture::new().await;
+    let job = fixture.job().await;
+    for attempt in 1..=5 {
+        fixture.machine("one").await;
+        assert_eq!(fixture.copied_attempts(job).await, [format!("attempt-{attempt}")]);
+    }
+}
+
+#[tokio::test]
+async fn a_copy_that_lacks_a_file_is_completed_by_the_one_before() {
+    let fixture = Fixture::new().await;
+    let job = fixture.job().await;
+    fixture.machine("first").await;
+    let cut = format!("put checkpoints/{job}/attempt-2/step");
+    fixture.faults.plan_of(&cut, Side::Request, ErrorKind::Other, 1);
+    fixture.machine("second").await;
+    assert!(fixture.faults.relieve(), "the second machine copies the other file alone");
+    assert_eq!(fixture.copied_attempts(job).await, ["attempt-1", "attempt-2"]);
+    fixture.machine("third").await;
+    assert_eq!(*fixture.found.lock().expect("not poisoned"), [false, true, true]);
+    assert_eq!(fixture.copied_attempts(job).await, ["attempt-3"]);
 }
 
 #[tokio::test]
 async fn a_job_whose_checkpoint_cannot_be_fetched_now_waits_instead_of_beginning_again() {
     let fixture = Fixture::new().await;
-    let dataset = fixture.blobs.put(Bytes::from_static(b"dataset")).await.expect("published");
-    let job = JobId(Uuid::from_u128(1));
-    fixture.store.create_job(NewJob::new(job, TrainOptions::default(), dataset)).await.expect("queued");
+    let job = fixture.job().await;
     fixture.machine("first").await;
     let mut held = 1;
     for request in ["list", "get"] {
