@@ -56,7 +56,7 @@ pub(crate) struct LimitFlags {
     #[arg(long, value_name = "TIME", default_value = "24h", env = "TCGS_UPLOAD_TTL", value_parser = duration)]
     upload_ttl: Duration,
 
-    /// Datasets received at the same time, at most three quarters of them of one project
+    /// Datasets received, or made scenes of from finished uploads, at the same time, at most three quarters of them of one project
     #[arg(long, value_name = "N", default_value_t = 8, env = "TCGS_MAX_UPLOADS")]
     max_uploads: usize,
 

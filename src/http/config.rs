@@ -109,6 +109,11 @@ with_defaults! {
         pub upload_ttl: Duration = Duration::from_secs(24 * 3600),
         /// Archives received at a time.
         pub uploads: usize = 8,
+        /// Datasets checked at a time: a slow one does not block all others, and all checks together stay below 256 MiB.
+        pub checks: usize = 2,
+        /// Longest time of a dataset's check, and of waiting for one: enough for some thousand photographs on a disk that has to seek for
+        /// each.
+        pub check_time: Duration = Duration::from_secs(120),
         /// Longest JSON body, in bytes.
         pub json_bytes: u64 = 1 << 20,
         /// Longest pause within a body.

@@ -116,10 +116,12 @@ pub struct App {
     pub(super) services: Services,
     pub(super) limits: RequestLimits,
     uploads: Slots<ProjectId>,
+    /// Permits for checks of datasets.
+    pub(super) checks: Arc<Semaphore>,
     pub(super) view_renderer: ViewRenderer,
     pub(super) meters: Meters,
     pub(super) metrics_cache: Cache,
-    pub(super) checks: Checks,
+    pub(super) readiness: Checks,
     pub(super) watcher: Watcher,
     pub(super) in_flight: Arc<InFlight>,
     pub(super) exports: ExportQueue,
@@ -155,6 +157,7 @@ impl AppState {
         let uploads = Slots::new(Capacity::shared(limits.uploads));
         let view_renderer = ViewRenderer::new(&limits);
         let throttle = Throttle::new(Arc::clone(&services.clock), limits.access.clone());
+        let checks = Arc::new(Semaphore::new(limits.checks));
         let waits = Semaphore::new(limits.waits);
         let exports = ExportQueue::new(limits.exports, limits.exports_waiting);
         let watcher = Watcher::new(Arc::clone(&services.store), limits.watch_interval);
@@ -164,10 +167,11 @@ impl AppState {
             services,
             limits,
             uploads,
+            checks,
             view_renderer,
             meters: Meters::default(),
             metrics_cache: Cache::default(),
-            checks: Checks::default(),
+            readiness: Checks::default(),
             watcher,
             in_flight: Arc::default(),
             exports,

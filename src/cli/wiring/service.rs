@@ -48,13 +48,6 @@ const DRIVER_CACHE: &str = "driver-cache";
 /// How long an endpoint may take to answer a webhook.
 const WEBHOOK_TIMEOUT: Duration = Duration::from_secs(15);
 
-/// Datasets checked at the same time: a slow one does not block all others, and all checks together stay below 256 MiB.
-const CHECKS: usize = 2;
-
-/// Longest time of a dataset's check, and of waiting for one: enough for some thousand photographs on a disk that has to seek for
-/// each.
-const CHECK_TIME: Duration = Duration::from_secs(120);
-
 /// Options of the service process.
 #[derive(Debug, Clone)]
 pub(crate) struct ServeOptions {
@@ -169,7 +162,7 @@ pub(crate) fn serve(options: ServeOptions) -> Result<(), CliError> {
             clock: Arc::new(SystemClock),
             entropy: Arc::new(SystemRandom),
             check: {
-                let checks = DatasetChecker::new(CHECKS, CHECK_TIME);
+                let checks = DatasetChecker::new(config.limits.checks, config.limits.check_time);
                 Arc::new(move |archive: &Path| checks.check(archive))
             },
             load: loader(),

@@ -8,7 +8,6 @@ use axum::{
     http::{HeaderMap, HeaderValue, StatusCode, Uri, header},
 };
 use serde::Deserialize;
-use tokio::task::spawn_blocking;
 
 use super::{
     body::href,
@@ -17,7 +16,7 @@ use super::{
     representation,
 };
 use crate::{
-    domain::{Caller, DatasetId, DatasetSummary, Digest, ProblemType, ProjectId, UploadId},
+    domain::{Caller, DatasetId, Digest, ProblemType, ProjectId, UploadId},
     http::{
         problem::{ApiResult, ProblemResponse},
         request::{
@@ -162,19 +161,19 @@ async fn from_upload(
     idempotent(state, intent.clone(), create).await
 }
 
-/// The archive of a complete upload. In a folder it is the upload's file; from a bucket it is read into a new one, which takes a place and
-/// space as the body of a request does.
+/// The archive of a complete upload, which takes a place as the body of a request does. In a folder it is the upload's file; from a bucket it
+/// is read into a new one, which takes space too.
 async fn assemble(
     state: &AppState,
     upload: &UploadRecord,
     file: UploadFile,
-) -> ApiResult<(ReceivedDataset, Option<Slot<ProjectId>>)> {
-    if state.blobs().shared_files().is_none() {
-        return Ok((ReceivedDataset::of_upload(file.finish(upload.length).await?), None));
-    }
+) -> ApiResult<(ReceivedDataset, Slot<ProjectId>)> {
     let slot = state.upload_slot(upload.project)?;
-    let _reservation = Reservations::reserve_disk(state, upload.length).await?;
-    Ok((ReceivedDataset::of_upload(file.finish(upload.length).await?), Some(slot)))
+    let _reservation = match state.blobs().shared_files() {
+        Some(_) => Some(Reservations::reserve_disk(state, upload.length).await?),
+        None => None,
+    };
+    Ok((ReceivedDataset::of_upload(file.finish(upload.length).await?), slot))
 }
 
 /// Checks and publishes the archive and creates its scene, unless its project has one of it.
@@ -188,7 +187,7 @@ async fn keep(
     let known = state.store().dataset_by_archive(project, dataset.digest).await?;
     let (received, summary) = match known {
         Some(known) => (received, known.summary),
-        None => check(state, received).await?,
+        None => received.check(state).await?,
     };
     let new = NewDataset { id: DatasetId(state.new_uuid()), project, name, dataset, summary, upload, intent };
     let store = Arc::clone(&state.services.store);
@@ -200,16 +199,6 @@ async fn keep(
         }
         DatasetCreation::Existing(record) => CreatedScene { status: StatusCode::OK, record },
     }))
-}
-
-async fn check(state: &AppState, received: ReceivedDataset) -> ApiResult<(ReceivedDataset, DatasetSummary)> {
-    let check = state.services.check.clone();
-    let checked = spawn_blocking(move || {
-        let checked = check(received.path());
-        (received, checked)
-    });
-    let (received, checked) = checked.await?;
-    Ok((received, checked?))
 }
 
 impl Resource for CreatedScene {

@@ -3,15 +3,16 @@
 //! Invariants: space is reserved before bytes are stored; a refused request, however late, leaves nothing behind. If the database fails
 //! instead, the reference may be recorded nevertheless, so the bytes are left to garbage collection. A dataset that its project already
 //! has takes no space, so if the quota is used up the body is hashed and not stored: a client that repeats a request whose answer was
-//! lost is not refused.
+//! lost is not refused. A few datasets are checked at a time; the others wait for it without a thread, and leave with their clients.
 
-use std::{future::Future, path::Path};
+use std::{future::Future, path::Path, sync::Arc};
 
 use axum::{body::BodyDataStream, http::HeaderMap};
+use tokio::{task::spawn_blocking, time::timeout};
 use tracing::Instrument as _;
 
 use crate::{
-    domain::ProjectId,
+    domain::{DatasetSummary, ProjectId},
     http::{
         problem::{ApiResult, ProblemResponse},
         request::{Pieces, Reservation, ReservationError, Reservations, announced_length},
@@ -145,8 +146,28 @@ impl ReceivedDataset {
         self.blob
     }
 
+    /// Checks the dataset, once one of few permits is free.
+    ///
+    /// # Errors
+    /// What is wrong with the dataset; 503 if none is free in time.
+    pub(crate) async fn check(self, state: &AppState) -> ApiResult<(Self, DatasetSummary)> {
+        let permit = Arc::clone(&state.checks).acquire_owned();
+        let Ok(Ok(permit)) = timeout(state.limits.check_time, permit).await else {
+            return Err(ProblemResponse::busy("other datasets are being checked; try again later"));
+        };
+        let check = state.services.check.clone();
+        let checked = spawn_blocking(move || {
+            // Held as long as the thread works, also if the client disconnects: the process has a limited number of them.
+            let _permit = permit;
+            let checked = check(self.path());
+            (self, checked)
+        });
+        let (received, checked) = checked.await?;
+        Ok((received, checked?))
+    }
+
     /// The file with the content.
-    pub(crate) fn path(&self) -> &Path {
+    fn path(&self) -> &Path {
         match &self.content {
             Content::Staged(staged) => staged.path(),
             Content::Known(_, copy) => copy.path(),

@@ -8,7 +8,6 @@ use axum::{
     http::{HeaderMap, HeaderValue, StatusCode, Uri, header},
     response::IntoResponse as _,
 };
-use tokio::task::spawn_blocking;
 
 use super::{
     body::href,
@@ -111,13 +110,7 @@ async fn from_archive(
     let received = receive(state, caller.project, headers, body).await?;
     let intent = request.intent(guard.as_ref(), received.blob().digest);
     let create = async {
-        let check = state.services.check.clone();
-        let checked = spawn_blocking(move || {
-            let checked = check(received.path());
-            (received, checked)
-        });
-        let (received, checked) = checked.await?;
-        checked?;
+        let (received, _) = received.check(state).await?;
         let job = new_job(request, wanted, received.blob()).await?;
         let job = NewJob { intent: intent.clone(), ..job };
         let store = Arc::clone(&state.services.store);

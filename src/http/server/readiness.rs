@@ -116,8 +116,8 @@ struct Disk {
 /// Dead workers do not make the service unready: requests are answered, jobs wait, and the supervisor restarts workers.
 pub(crate) async fn readyz(State(state): State<AppState>) -> ApiResult {
     let panicked = |error| ProblemResponse::internal(&error);
-    let disk = state.checks.disk.get(CACHE_TIME, disk(state.clone())).await.map_err(panicked)?;
-    let answers = state.checks.answers.get(ANSWER_TIME, answers(state.clone())).await.map_err(panicked)?;
+    let disk = state.readiness.disk.get(CACHE_TIME, disk(state.clone())).await.map_err(panicked)?;
+    let answers = state.readiness.answers.get(ANSWER_TIME, answers(state.clone())).await.map_err(panicked)?;
     let drain = if state.draining.is_cancelled() { "the server is shutting down" } else { OK };
     let database = if answers.database == OK { disk.database } else { answers.database };
     let checks: BTreeMap<String, String> = [

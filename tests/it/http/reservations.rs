@@ -3,14 +3,17 @@
 use std::{
     fs,
     path::Path,
-    sync::{Arc, atomic::Ordering},
+    sync::{
+        Arc,
+        atomic::{AtomicUsize, Ordering},
+    },
 };
 
 use object_store::ObjectStore;
 use serde_json::json;
 use tcgs::{
     domain::{ProjectLimits, Scope},
-    http::config::RequestLimits,
+    http::{DatasetCheck, config::RequestLimits},
 };
 use tokio::{
     io::{AsyncReadExt as _, AsyncWriteExt as _},
@@ -21,6 +24,8 @@ use super::connections::check_raw;
 use crate::support::{
     bucket::S3Server,
     contract::Coverage,
+    eventually::eventually,
+    fakes::{self, Gate},
     faults::Failing,
     server::{Answer, Server, Setup, TestKey},
 };
@@ -269,6 +274,57 @@ async fn a_project_that_sends_slowly_leaves_places_to_the_others() {
     let detail = refused.expect_problem(503, "busy");
     assert!(detail.contains("of your project"), "{detail}");
     post(&server, "/v1/jobs", &other, Framing::Length, dataset(2, 300)).await.expect(201);
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_dataset_whose_client_has_gone_is_not_checked_any_more() {
+    let (gate, begun) = (Arc::new(Gate::default()), Arc::new(AtomicUsize::new(0)));
+    let check: DatasetCheck = {
+        let (gate, begun) = (Arc::clone(&gate), Arc::clone(&begun));
+        Arc::new(move |dataset| {
+            begun.fetch_add(1, Ordering::SeqCst);
+            gate.pass();
+            fakes::check(dataset)
+        })
+    };
+    let limits = RequestLimits { checks: 1, ..Setup::default().limits };
+    let server = Server::start_with(&Coverage::default(), Setup { limits, check, ..idle() }).await;
+    let active = async |requests: usize| {
+        let line = format!("\nhttp_active_requests {requests}\n");
+        eventually(&line, async || {
+            let text = server.get("/metrics").await.expect(200).body;
+            String::from_utf8_lossy(&text).contains(&line)
+        })
+        .await;
+    };
+    let (first, ()) = tokio::join!(server.upload("", "succeed"), async {
+        gate.someone_waits().await;
+        let others =
+            futures_util::future::join(server.upload("", "succeed 2"), server.upload("", "succeed 3"));
+        tokio::select! {
+            _ = others => panic!("the check of the first has not ended"),
+            // Two that wait, the first, and the one that asks.
+            () = active(4) => {}
+        }
+        // Their connections are closed now.
+        active(2).await;
+        gate.open();
+    });
+    first.expect(201);
+    server.upload("", "succeed").await.expect(201);
+    assert_eq!(begun.load(Ordering::SeqCst), 2);
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn an_upload_in_a_folder_takes_a_place_to_become_a_scene() {
+    let coverage = Coverage::default();
+    let server = Server::start_with(&coverage, idle()).await;
+    let upload = super::uploads::begin(&server, 9).await;
+    super::uploads::part(&server, &upload, 0, b"succeed 9").await.expect(204);
+    let limits = RequestLimits { uploads: 0, ..Setup::default().limits };
+    let busy = Server::start_in(&coverage, Setup { limits, ..idle() }, Arc::clone(&server.data)).await;
+    super::uploads::make_scene(&busy, &upload).await.expect_problem(503, "busy");
+    super::uploads::make_scene(&server, &upload).await.expect(201);
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]

@@ -37,7 +37,7 @@ fn tus(request: RequestBuilder) -> RequestBuilder {
     request.header("tus-resumable", "1.0.0")
 }
 
-async fn begin(server: &Server, length: usize) -> String {
+pub(super) async fn begin(server: &Server, length: usize) -> String {
     let answer =
         server.send("POST", "/v1/uploads", |request| tus(request).header("upload-length", length)).await;
     let answer = answer.expect(201);
@@ -45,7 +45,7 @@ async fn begin(server: &Server, length: usize) -> String {
     answer.header("location").to_owned()
 }
 
-async fn part(server: &Server, upload: &str, offset: usize, bytes: &[u8]) -> Answer {
+pub(super) async fn part(server: &Server, upload: &str, offset: usize, bytes: &[u8]) -> Answer {
     part_with(server, upload, offset, bytes, |request| request).await
 }
 
@@ -87,7 +87,7 @@ async fn offset(server: &Server, upload: &str) -> usize {
     answer.header("upload-offset").parse().expect("a number")
 }
 
-async fn make_scene(server: &Server, upload: &str) -> Answer {
+pub(super) async fn make_scene(server: &Server, upload: &str) -> Answer {
     let id = upload.rsplit('/').next().expect("an id");
     server.post_json("/v1/scenes", &json!({ "upload_id": id })).await
 }

@@ -8,7 +8,7 @@ use reqwest::{RequestBuilder, header::HeaderMap};
 use serde_json::Value;
 use tcgs::{
     domain::{Clock, DatasetId, KeyId, ProjectId, ProjectLimits, Scope, SystemClock, SystemRandom},
-    http::{self, HttpConfig, Services, WorkerCounts, config::RequestLimits},
+    http::{self, DatasetCheck, HttpConfig, Services, WorkerCounts, config::RequestLimits},
     store::{
         Blobs, DatabaseLocation, DatasetRecord, KeyProject, KeyRequest, Keys as _, NewKey, QueuePolicy,
         SqlStore, Store,
@@ -41,6 +41,8 @@ pub struct Setup {
     /// Whatever else is to be otherwise.
     pub tune: fn(&mut HttpConfig),
     pub clock: Arc<dyn Clock>,
+    /// How datasets are checked.
+    pub check: DatasetCheck,
     /// The database, if not SQLite in the server's folder.
     pub database: Option<DatabaseLocation>,
     /// Where blobs are, if not in the server's folder.
@@ -63,6 +65,7 @@ impl Default for Setup {
             policy: quick_policy(),
             tune: |_| {},
             clock: Arc::new(SystemClock),
+            check: Arc::new(fakes::check),
             database: None,
             bucket: None,
         }
@@ -182,7 +185,7 @@ impl Server {
             blobs: blobs.clone(),
             clock,
             entropy: Arc::new(SystemRandom),
-            check: Arc::new(fakes::check),
+            check: setup.check,
             load: Arc::new(fakes::load),
             renderer: fakes::only(&renderer),
             export: fakes::exporter(&exporter),
