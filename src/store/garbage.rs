@@ -9,7 +9,7 @@ use std::{collections::BTreeSet, error::Error, fmt, sync::Arc, time::Duration};
 
 use jiff::{SignedDuration, Timestamp};
 use thiserror::Error;
-use tokio::time::{Instant, sleep_until};
+use tokio::time::{Instant, sleep, sleep_until};
 use tokio_util::sync::CancellationToken;
 
 use super::{BlobError, Blobs, Published, Store, StoreError, blobs::earlier, retention::remove_expired};
@@ -20,6 +20,9 @@ const BATCH: usize = 100;
 
 /// Removals in a row that fail before a collection ends.
 const MAX_FAILURES: u32 = 10;
+
+/// How long a removal may go on once the service stops; a later collection completes what is left.
+const STOP_TIME: Duration = Duration::from_secs(5);
 
 with_defaults! {
     /// When garbage is collected, and how old it must be.
@@ -70,6 +73,17 @@ pub async fn collect(
     policy: &GarbagePolicy,
     now: Timestamp,
 ) -> Result<Collected, GarbageError> {
+    collect_until(store, blobs, policy, now, &CancellationToken::new()).await
+}
+
+/// As [`collect`], but leaves the rest once `stop` is cancelled.
+async fn collect_until(
+    store: &dyn Store,
+    blobs: &Blobs,
+    policy: &GarbagePolicy,
+    now: Timestamp,
+    stop: &CancellationToken,
+) -> Result<Collected, GarbageError> {
     // A database that has lost its bucket to another must not remove the other's objects.
     blobs.check_owner().await?;
     let mut failures = Failures::default();
@@ -79,7 +93,13 @@ pub async fn collect(
     failures.note("blobs that another process began to remove", blobs.finish_removals().await)?;
     let age = policy.blob_grace;
     for batch in blobs.older_than(age, now).await?.chunks(BATCH) {
+        if stop.is_cancelled() {
+            break;
+        }
         for digest in store.forget_blobs(batch).await? {
+            if stop.is_cancelled() {
+                break;
+            }
             let removed = blobs.remove_older(digest, age, now).await;
             if let Some(Some(bytes)) = failures.note(format!("blob {digest}"), removed)? {
                 collected.blobs += 1;
@@ -180,7 +200,15 @@ pub async fn collect_garbage(
                 tracing::warn!(error = &error as &dyn Error, "ended jobs cannot be removed: {error}");
             }
         }
-        match collect(&*store, &blobs, &policy, clock.now()).await {
+        let collecting = collect_until(&*store, &blobs, &policy, clock.now(), &stop);
+        let collected = tokio::select! {
+            collected = collecting => collected,
+            () = overdue(&stop) => {
+                tracing::warn!("garbage collection has not stopped in time; a later one removes the rest");
+                return;
+            }
+        };
+        match collected {
             Ok(Collected { uploads: 0, blobs: 0, .. }) => {}
             Ok(Collected { uploads, blobs, bytes }) => {
                 tracing::info!(
@@ -206,4 +234,10 @@ pub async fn collect_garbage(
             () = pause => {}
         }
     }
+}
+
+/// Ends [`STOP_TIME`] after `stop` is cancelled.
+async fn overdue(stop: &CancellationToken) {
+    stop.cancelled().await;
+    sleep(STOP_TIME).await;
 }

@@ -334,6 +334,23 @@ async fn garbage_is_collected_until_shutdown_and_soon_after_a_request() {
 }
 
 #[tokio::test]
+async fn a_collection_that_is_told_to_stop_leaves_the_rest_to_the_next() {
+    let Some(fixture) = Fixture::new().await else { return };
+    let blobs = [fixture.put("one").await, fixture.put("another").await];
+    fixture.pass(61);
+    let policy = GarbagePolicy { blob_grace: GRACE, ..GarbagePolicy::default() };
+    let stop = CancellationToken::new();
+    stop.cancel();
+    let clock: Arc<dyn Clock> = fixture.clock.clone();
+    let collecting = collect_garbage(fixture.store.clone(), fixture.blobs.clone(), clock, policy, stop);
+    tokio::time::timeout(LONGEST, collecting).await.expect("it stops");
+    for blob in blobs {
+        assert!(fixture.is_there(blob).await);
+    }
+    assert_eq!(fixture.collect_once().await.blobs, blobs.len());
+}
+
+#[tokio::test]
 async fn rounds_of_collection_keep_their_distance() {
     let day = Duration::from_secs(24 * 3600);
     let policy = |at_most_every| GarbagePolicy {
