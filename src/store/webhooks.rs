@@ -40,7 +40,8 @@ pub trait Webhooks: Send + Sync + 'static {
     /// Makes a delivery due now and restarts its retry schedule; `None` if the endpoint has no such delivery.
     fn replay(&self, endpoint: EndpointId, id: DeliveryId) -> StoreFuture<'_, Option<Replay>>;
 
-    /// Leases the delivery that has been due for longest for the time `lease`; at most one of an endpoint at a time.
+    /// Leases a due delivery for the time `lease`; at most one of an endpoint at a time. Projects take turns: the one with the fewest deliveries
+    /// under way is next, and of its deliveries the one that has been due for longest.
     fn take_delivery(&self, lease: Duration) -> StoreFuture<'_, Option<DueDelivery>>;
 
     /// Records the result of an attempt. Changes nothing if a newer attempt has started or the endpoint was deleted.

@@ -20,20 +20,21 @@ use jiff::Timestamp;
 /// How long a delivery that has ended is kept, from its creation.
 pub(super) const DELIVERY_TTL: Duration = Duration::from_secs(30 * 24 * 3600);
 
-/// The endpoint of the delivery that has been due for longest at `?1`, of those with nothing under way. On PostgreSQL it is locked, so that
-/// no other transaction takes another of its deliveries; what it has is then looked up afresh.
-const FREE_ENDPOINT: Sql = Sql {
-    sqlite: "
-    SELECT d.endpoint FROM webhook_deliveries d
-    WHERE d.state = 'pending' AND d.due_at <= ?1 AND (d.lease_until IS NULL OR d.lease_until <= ?1)
-        AND NOT EXISTS (SELECT 1 FROM webhook_deliveries o WHERE o.endpoint = d.endpoint AND o.lease_until > ?1)
-    ORDER BY d.due_at, d.seq LIMIT 1",
-    postgres: "
-    SELECT d.endpoint FROM webhook_deliveries d JOIN webhook_endpoints e ON e.id = d.endpoint
-    WHERE d.state = 'pending' AND d.due_at <= ?1 AND (d.lease_until IS NULL OR d.lease_until <= ?1)
-        AND NOT EXISTS (SELECT 1 FROM webhook_deliveries o WHERE o.endpoint = d.endpoint AND o.lease_until > ?1)
-    ORDER BY d.due_at, d.seq LIMIT 1 FOR NO KEY UPDATE OF e SKIP LOCKED",
-};
+/// The endpoint whose turn it is at `?1`, of those with something due and nothing under way: one of the project with the fewest deliveries
+/// under way, and of these the one whose delivery has been due for longest.
+const NEXT_ENDPOINT: &str = "
+    SELECT d.endpoint FROM (
+        SELECT endpoint, MIN(due_at) AS due_at, MIN(seq) AS seq FROM webhook_deliveries
+        WHERE state = 'pending' AND due_at <= ?1 AND (lease_until IS NULL OR lease_until <= ?1)
+        GROUP BY endpoint
+    ) AS d
+    JOIN webhook_endpoints e ON e.id = d.endpoint
+    WHERE NOT EXISTS (SELECT 1 FROM webhook_deliveries o WHERE o.endpoint = d.endpoint AND o.lease_until > ?1)
+    ORDER BY (SELECT count(*) FROM webhook_deliveries o JOIN webhook_endpoints s ON s.id = o.endpoint
+              WHERE s.project = e.project AND o.lease_until > ?1), d.due_at, d.seq LIMIT 1";
+
+/// How often an endpoint is chosen for one delivery, where other processes take what was chosen.
+const MAX_CHOICES: u32 = 16;
 
 /// Adds a delivery to the outbox for each endpoint of the job's project that subscribed to `state`, within the transaction of the change.
 pub(super) async fn enqueue_deliveries(
@@ -74,16 +75,48 @@ pub(super) async fn enqueue_deliveries(
 }
 
 impl SqlStore {
-    /// Whether there could be a delivery to take, so that idle polling takes no write lock.
-    async fn any_delivery_due(&self) -> Result<bool, StoreError> {
-        let row = query(
-            "SELECT EXISTS (SELECT 1 FROM webhook_deliveries
-                            WHERE state = 'pending' AND due_at <= ?1 AND (lease_until IS NULL OR lease_until <= ?1)) AS due",
-        )
-        .bind(micros(self.now(&self.readers).await?))
-        .fetch_one(&self.readers)
-        .await?;
-        Ok(row.try_get("due")?)
+    /// The endpoint whose turn it is. It is chosen without a lock, so that neither idle polling nor a long backlog delays writers.
+    async fn next_endpoint(&self) -> Result<Option<String>, StoreError> {
+        let now = micros(self.now(&self.readers).await?);
+        let row = query(NEXT_ENDPOINT).bind(now).fetch_optional(&self.readers).await?;
+        let Some(row) = row else { return Ok(None) };
+        Ok(Some(row.try_get("endpoint")?))
+    }
+
+    /// Takes the delivery of an endpoint that has been due for longest, unless one is under way.
+    async fn take_delivery_of(
+        &self,
+        endpoint: String,
+        lease: Duration,
+    ) -> Result<Option<DueDelivery>, StoreError> {
+        self.write(async move |tx, now| {
+            // So that no other transaction takes another of its deliveries.
+            query(Sql {
+                sqlite: "SELECT id FROM webhook_endpoints WHERE id = ?",
+                postgres: "SELECT id FROM webhook_endpoints WHERE id = ? FOR NO KEY UPDATE",
+            })
+            .bind(&endpoint)
+            .fetch_optional(&mut *tx)
+            .await?;
+            query(
+                "UPDATE webhook_deliveries
+                 SET attempts = attempts + 1, tries = tries + 1, lease_until = ?2, attempted_at = ?1,
+                     answer_status = NULL, answer_fault = NULL
+                 WHERE seq = (SELECT d.seq FROM webhook_deliveries d
+                              WHERE d.endpoint = ?3 AND d.state = 'pending' AND d.due_at <= ?1
+                                  AND (d.lease_until IS NULL OR d.lease_until <= ?1)
+                                  AND NOT EXISTS (SELECT 1 FROM webhook_deliveries o
+                                                  WHERE o.endpoint = d.endpoint AND o.lease_until > ?1)
+                              ORDER BY d.due_at, d.seq LIMIT 1)
+                 RETURNING id, attempts, tries, body,
+                     (SELECT url FROM webhook_endpoints e WHERE e.id = endpoint) AS url,
+                     (SELECT secret FROM webhook_endpoints e WHERE e.id = endpoint) AS secret",
+            )
+            .bind_all(values![micros(now), micros(after(now, lease)), endpoint])
+            .optional(tx, |row| rows::due_delivery(row, now))
+            .await
+        })
+        .await
     }
 }
 
@@ -197,32 +230,14 @@ impl Webhooks for SqlStore {
 
     fn take_delivery(&self, lease: Duration) -> StoreFuture<'_, Option<DueDelivery>> {
         Box::pin(async move {
-            if !self.any_delivery_due().await? {
-                return Ok(None);
+            for _ in 0..MAX_CHOICES {
+                let Some(endpoint) = self.next_endpoint().await? else { return Ok(None) };
+                let taken = self.take_delivery_of(endpoint, lease).await?;
+                if taken.is_some() {
+                    return Ok(taken);
+                }
             }
-            self.write(async move |tx, now| {
-                let free = query(FREE_ENDPOINT).bind(micros(now)).fetch_optional(&mut *tx).await?;
-                let Some(free) = free else { return Ok(None) };
-                query(
-                    "UPDATE webhook_deliveries
-                     SET attempts = attempts + 1, tries = tries + 1, lease_until = ?2, attempted_at = ?1,
-                         answer_status = NULL, answer_fault = NULL
-                     WHERE seq = (SELECT d.seq FROM webhook_deliveries d
-                                  WHERE d.endpoint = ?3 AND d.state = 'pending' AND d.due_at <= ?1
-                                      AND (d.lease_until IS NULL OR d.lease_until <= ?1)
-                                      AND NOT EXISTS (SELECT 1 FROM webhook_deliveries o
-                                                      WHERE o.endpoint = d.endpoint AND o.lease_until > ?1)
-                                  ORDER BY d.due_at, d.seq LIMIT 1)
-                     RETURNING id, attempts, tries, body,
-                         (SELECT url FROM webhook_endpoints e WHERE e.id = endpoint) AS url,
-                         (SELECT secret FROM webhook_endpoints e WHERE e.id = endpoint) AS secret",
-                )
-                .bind_all(values![micros(now), micros(after(now, lease))])
-                .bind(free.try_get::<String>("endpoint")?)
-                .optional(tx, |row| rows::due_delivery(row, now))
-                .await
-            })
-            .await
+            Ok(None)
         })
     }
 

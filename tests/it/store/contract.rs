@@ -15,6 +15,7 @@ mod simulated_clock;
 mod simulation;
 pub(super) mod totals;
 mod viewers;
+mod webhooks;
 
 use crate::support::database::Database;
 
