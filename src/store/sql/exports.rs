@@ -72,7 +72,8 @@ impl Exports for SqlStore {
                  UNION ALL
                  SELECT job_id, format AS kind,
                      (SELECT lambda FROM artifacts
-                      WHERE artifacts.job_id = exports.job_id AND artifacts.digest = source) AS lambda, digest
+                      WHERE artifacts.job_id = exports.job_id AND artifacts.digest = source
+                      ORDER BY place LIMIT 1) AS lambda, digest
                  FROM exports WHERE digest = ?1
              ) AS files
              JOIN blobs ON blobs.digest = files.digest

@@ -3,6 +3,7 @@
 mod bucket;
 mod bucket_faults;
 mod datasets;
+mod exports;
 mod garbage;
 #[expect(clippy::duplicate_mod, reason = "one suite, over a folder and over a bucket")]
 #[path = "garbage.rs"]
