@@ -67,7 +67,7 @@ pub async fn check(
         }
     }
     let grace = GarbagePolicy::default().blob_grace;
-    for batch in blobs.older_than(grace, now).await?.chunks(BATCH as usize) {
+    for batch in blobs.older_than(grace, now).await?.all()?.chunks(BATCH as usize) {
         report.orphans.extend(store.without_references(batch).await?);
     }
     Ok(report)

@@ -12,7 +12,9 @@ use thiserror::Error;
 use tokio::time::{Instant, sleep, sleep_until};
 use tokio_util::sync::CancellationToken;
 
-use super::{BlobError, Blobs, Published, Store, StoreError, blobs::earlier, retention::remove_expired};
+use super::{
+    BlobError, Blobs, OldBlobs, Published, Store, StoreError, blobs::earlier, retention::remove_expired,
+};
 use crate::domain::{Clock, UploadId, with_defaults};
 
 /// Blobs per transaction, so that other writers never wait for long.
@@ -92,7 +94,9 @@ async fn collect_until(
     failures.note("staging folders", blobs.clear_staging().await)?;
     failures.note("blobs that another process began to remove", blobs.finish_removals().await)?;
     let age = policy.blob_grace;
-    for batch in blobs.older_than(age, now).await?.chunks(BATCH) {
+    let OldBlobs { digests, error } = blobs.older_than(age, now).await?;
+    failures.note("something among the blobs", error.map_or(Ok(()), Err))?;
+    for batch in digests.chunks(BATCH) {
         if stop.is_cancelled() {
             break;
         }

@@ -45,7 +45,7 @@ pub use accounts::{Accounts, Capacity, Usage};
 pub use backup::{BackupError, BackupNote, BucketClaim, DATABASE, back_up, restore};
 pub use blobs::{
     BlobCopy, BlobError, BlobSource, BlobState, BlobWriter, Blobs, BucketIndex, BucketUrl, CheckDepth,
-    ContentHasher, CopyMode, InvalidBucketUrl, Published, SharedFiles, StagedBlob, UploadFile,
+    ContentHasher, CopyMode, InvalidBucketUrl, OldBlobs, Published, SharedFiles, StagedBlob, UploadFile,
 };
 pub use changes::{ChangeKind, Changes};
 pub use datasets::{DatasetCreation, DatasetDeletion, DatasetPageKey, DatasetRecord, Datasets, NewDataset};

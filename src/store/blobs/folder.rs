@@ -7,14 +7,14 @@
 use std::{
     fs::{self, File},
     io,
-    path::PathBuf,
+    path::{Path, PathBuf},
 };
 
 use jiff::Timestamp;
 use object_store::local::LocalFileSystem;
 
 use super::{
-    BlobError, Published, ROOT, StagedBlob, blocking,
+    BlobError, OldBlobs, Published, ROOT, StagedBlob, blocking,
     files::{age_of, entries, folders, if_there, open_lock, sync_folder, touch},
     location,
     parts::write_parts,
@@ -112,26 +112,19 @@ impl Folder {
     }
 
     /// The blobs that were last published before `before`.
-    pub(super) async fn older_than(&self, before: Timestamp) -> Result<Vec<Digest>, BlobError> {
+    pub(super) async fn older_than(&self, before: Timestamp) -> Result<OldBlobs, BlobError> {
         let root = self.root.join(ROOT);
         blocking(move || {
-            let mut found = Vec::new();
+            let mut old = OldBlobs::default();
             for outer in folders(&root)? {
-                for inner in folders(&outer)? {
-                    for file in entries(&inner)? {
-                        let name = file.file_name().and_then(|name| name.to_str()).unwrap_or_default();
-                        match (name.parse(), age_of(&file)?) {
-                            (Ok(digest), Some(at)) if at < before => found.push(digest),
-                            // A temporary file of the object store, left by a crash.
-                            (Err(_), Some(at)) if at < before && name.contains('#') => {
-                                fs::remove_file(&file)?
-                            }
-                            _ => {}
-                        }
+                for inner in old.noted(folders(&outer)) {
+                    for file in old.noted(entries(&inner)) {
+                        let added = old.add(&file, before);
+                        old.noted(added);
                     }
                 }
             }
-            Ok(found)
+            Ok(old)
         })
         .await
     }
@@ -174,6 +167,28 @@ impl Folder {
             Ok(true)
         })
         .await
+    }
+}
+
+impl OldBlobs {
+    /// Adds the blob in a file if it was last published before `before`, or removes a temporary file of that age.
+    fn add(&mut self, file: &Path, before: Timestamp) -> io::Result<()> {
+        let name = file.file_name().and_then(|name| name.to_str()).unwrap_or_default();
+        match (name.parse(), age_of(file)?) {
+            (Ok(digest), Some(at)) if at < before => self.digests.push(digest),
+            // A temporary file of the object store, left by a crash.
+            (Err(_), Some(at)) if at < before && name.contains('#') => fs::remove_file(file)?,
+            _ => {}
+        }
+        Ok(())
+    }
+
+    /// The value, or nothing after an error, so that one entry does not hide the others.
+    fn noted<T: Default>(&mut self, value: io::Result<T>) -> T {
+        value.unwrap_or_else(|error| {
+            self.error.get_or_insert(error.into());
+            T::default()
+        })
     }
 }
 

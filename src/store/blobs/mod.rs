@@ -138,6 +138,25 @@ pub struct Published {
     created_at: Option<Timestamp>,
 }
 
+/// Blobs of some age.
+#[derive(Debug, Default)]
+pub struct OldBlobs {
+    /// Those that were found.
+    pub digests: Vec<Digest>,
+    /// The first error, if something could not be looked at, or a temporary file not be removed.
+    pub error: Option<BlobError>,
+}
+
+impl OldBlobs {
+    /// All of them.
+    ///
+    /// # Errors
+    /// The error, if there was one.
+    pub fn all(self) -> Result<Vec<Digest>, BlobError> {
+        self.error.map_or(Ok(self.digests), Err)
+    }
+}
+
 /// A blob as a file to read, which lasts as long as this value: the blob's own, or a copy.
 #[derive(Debug)]
 pub struct BlobCopy {
@@ -364,11 +383,14 @@ impl Blobs {
     }
 
     /// The blobs that were last published more than `age` before `now`. What died while it removed a blob is finished first.
-    pub async fn older_than(&self, age: SignedDuration, now: Timestamp) -> Result<Vec<Digest>, BlobError> {
+    ///
+    /// # Errors
+    /// If nothing can be listed.
+    pub async fn older_than(&self, age: SignedDuration, now: Timestamp) -> Result<OldBlobs, BlobError> {
         match &self.0.keeper {
             Keeper::Folder(folder) => folder.older_than(earlier(now, age)).await,
             // By the database's clock.
-            Keeper::Bucket(bucket) => bucket.older_than(age).await,
+            Keeper::Bucket(bucket) => Ok(OldBlobs { digests: bucket.older_than(age).await?, error: None }),
         }
     }
 
@@ -585,10 +607,11 @@ mod tests {
         }
         let age = SignedDuration::from_hours(1);
         let now = SystemClock.now();
-        assert_eq!(blobs.older_than(age, now).await.expect("a list"), []);
+        assert_eq!(blobs.older_than(age, now).await.expect("a list").all().expect("all"), []);
         assert!(of_a_copy.exists(), "it may still be written");
         let later = now + SignedDuration::from_hours(2);
-        assert_eq!(blobs.older_than(age, later).await.expect("a list"), [blob.digest]);
+        let old = blobs.older_than(age, later).await.expect("a list").all();
+        assert_eq!(old.expect("all"), [blob.digest]);
         assert!(!of_a_copy.exists() && foreign.exists(), "nobody knows what the other is");
     }
 
