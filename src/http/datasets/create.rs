@@ -113,7 +113,7 @@ async fn from_archive(
     content_digest::check(announced, received.blob().digest)?;
     let intent = request.intent(guard.as_ref(), received.blob().digest);
     let fields = SceneFields { project, name, upload: None, intent: intent.clone() };
-    idempotent(state, intent, keep(state, received, fields)).await
+    idempotent(request, intent, keep(state, received, fields)).await
 }
 
 async fn from_upload(
@@ -158,7 +158,7 @@ async fn from_upload(
         }
         Ok(created)
     };
-    idempotent(state, intent.clone(), create).await
+    idempotent(request, intent.clone(), create).await
 }
 
 /// The archive of a complete upload, which takes a place as the body of a request does. In a folder it is the upload's file; from a bucket it
@@ -202,13 +202,14 @@ async fn keep(
 }
 
 impl Resource for CreatedScene {
-    async fn load(state: &AppState, remembered: &PriorRequest) -> ApiResult<Self> {
+    async fn load(state: &AppState, caller: Caller, remembered: &PriorRequest) -> ApiResult<Self> {
         let record = match remembered.resource.parse::<DatasetId>() {
             Ok(id) => state.store().dataset(id).await?,
             Err(_) => None,
         };
         let record = record
-            .ok_or_else(|| idempotency::deleted_since(ProblemType::SceneNotFound, "scene", remembered))?;
+            .filter(|record| caller.may_see(record.project))
+            .ok_or_else(|| idempotency::not_replayable(ProblemType::SceneNotFound, "scene", remembered))?;
         Ok(Self { status: StatusCode::from_u16(remembered.status).unwrap_or(StatusCode::CREATED), record })
     }
 }

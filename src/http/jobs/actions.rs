@@ -85,7 +85,7 @@ pub(crate) async fn retry(
             Err(error) => Ok(Err(error)),
         }
     };
-    let outcome = idempotent(&state, intent.clone(), create).await?;
+    let outcome = idempotent(request, intent.clone(), create).await?;
     drop(guard);
     if let CreateOutcome::Created(record) = &outcome {
         let new = record.job.id;

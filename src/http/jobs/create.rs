@@ -96,7 +96,7 @@ async fn from_scene(
         let job = NewJob { project: scene.project, ..new_job(request, wanted, scene.dataset).await? };
         Ok(state.store().create_job(NewJob { dataset_id: Some(id), intent: intent.clone(), ..job }).await)
     };
-    idempotent(state, intent.clone(), create).await
+    idempotent(request, intent.clone(), create).await
 }
 
 async fn from_archive(
@@ -116,7 +116,7 @@ async fn from_archive(
         let store = Arc::clone(&state.services.store);
         received.keep(state, async move { store.create_job(job).await }).await
     };
-    idempotent(state, intent.clone(), create).await
+    idempotent(request, intent.clone(), create).await
 }
 
 async fn new_job(
@@ -137,11 +137,12 @@ async fn new_job(
 }
 
 impl Resource for JobRecord {
-    async fn load(state: &AppState, remembered: &PriorRequest) -> ApiResult<Self> {
+    async fn load(state: &AppState, caller: Caller, remembered: &PriorRequest) -> ApiResult<Self> {
         let record = match remembered.resource.parse::<JobId>() {
             Ok(id) => state.store().job(id).await?,
             Err(_) => None,
         };
-        record.ok_or_else(|| idempotency::deleted_since(ProblemType::JobNotFound, "job", remembered))
+        let record = record.filter(|record| caller.may_see(record.project));
+        record.ok_or_else(|| idempotency::not_replayable(ProblemType::JobNotFound, "job", remembered))
     }
 }

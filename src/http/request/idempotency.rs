@@ -64,11 +64,15 @@ pub(crate) enum CreateOutcome<T> {
 
 /// Something that requests with an `Idempotency-Key` create.
 pub(crate) trait Resource: Sized {
-    /// Reads what an earlier request created.
+    /// Reads what an earlier request of the caller's project created, which an administrator may have created for another project.
     ///
     /// # Errors
-    /// 404 if it has been deleted since.
-    fn load(state: &AppState, remembered: &PriorRequest) -> impl Future<Output = ApiResult<Self>> + Send;
+    /// 404 if it has been deleted since, or is not for the caller to see.
+    fn load(
+        state: &AppState,
+        caller: Caller,
+        remembered: &PriorRequest,
+    ) -> impl Future<Output = ApiResult<Self>> + Send;
 }
 
 impl CreateRequest<'_> {
@@ -111,10 +115,11 @@ impl CreateRequest<'_> {
 /// # Errors
 /// 422 if the earlier request with this key was another one; whatever `create` and [`Resource::load`] return.
 pub(crate) async fn idempotent<T: Resource>(
-    state: &AppState,
+    request: CreateRequest<'_>,
     intent: Option<IdempotentRequest>,
     create: impl Future<Output = ApiResult<Result<T, StoreError>>>,
 ) -> ApiResult<CreateOutcome<T>> {
+    let CreateRequest { state, caller, .. } = request;
     let Some(intent) = intent else { return Ok(CreateOutcome::Created(create.await??)) };
     let earlier = match state.store().prior_request(intent.project, &intent.key).await? {
         Some(earlier) => earlier,
@@ -130,14 +135,14 @@ pub(crate) async fn idempotent<T: Resource>(
             intent.key
         )));
     }
-    Ok(CreateOutcome::Replayed(T::load(state, &earlier).await?))
+    Ok(CreateOutcome::Replayed(T::load(state, caller, &earlier).await?))
 }
 
-/// 404 for a resource that an earlier request created.
-pub(crate) fn deleted_since(kind: ProblemType, what: &str, remembered: &PriorRequest) -> ProblemResponse {
+/// 404 for a resource that an earlier request created, and that the caller cannot see.
+pub(crate) fn not_replayable(kind: ProblemType, what: &str, remembered: &PriorRequest) -> ProblemResponse {
     kind.because(format!(
-        "an earlier request with this Idempotency-Key created {what} {}, which has been deleted; use a fresh key for \
-         another",
+        "an earlier request with this Idempotency-Key created {what} {}, which has been deleted or is another \
+         project's; use a fresh key for another",
         remembered.resource
     ))
 }

@@ -427,3 +427,22 @@ pub(super) async fn what_an_administrator_makes_of_a_projects_things_is_the_proj
         with(&server, &owner, "GET", &made, None).await.expect(200);
     }
 }
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn what_an_administrator_made_for_another_project_is_not_shown_to_a_key_of_its_own() {
+    let server = Server::start_with(&Coverage::default(), idle()).await;
+    let owner = server.key(&WRITES).await;
+    let admin = server.key(&[Scope::Admin]).await;
+    let beside = server.key_beside(&admin, &WRITES).await;
+    let scene = server.send("POST", "/v1/scenes", |request| {
+        request.bearer_auth(&owner.key).header("content-type", "application/zip").body("succeed")
+    });
+    let body = json!({ "scene_id": scene.await.expect(201).json()["id"] });
+    let once = async |key: &TestKey| {
+        let fill = |request: reqwest::RequestBuilder| request.bearer_auth(&key.key).json(&body);
+        server.send("POST", "/v1/jobs", |request| fill(request).header("idempotency-key", "once")).await
+    };
+    once(&admin).await.expect(201);
+    assert_eq!(once(&admin).await.expect(201).header("idempotency-replayed"), "true");
+    once(&beside).await.expect_problem(404, "job-not-found");
+}
