@@ -37,6 +37,8 @@ const NEXT_ENDPOINT: &str = "
 const MAX_CHOICES: u32 = 16;
 
 /// Adds a delivery to the outbox for each endpoint of the job's project that subscribed to `state`, within the transaction of the change.
+///
+/// On PostgreSQL the endpoints are locked, so that one that is disabled meanwhile either gets none or fails it with the others.
 pub(super) async fn enqueue_deliveries(
     connection: &mut Transaction,
     job: JobId,
@@ -54,7 +56,7 @@ pub(super) async fn enqueue_deliveries(
         postgres: "SELECT id FROM webhook_endpoints
          WHERE project = (SELECT project FROM jobs WHERE id = ?) AND disabled_at IS NULL
              AND CAST(events AS jsonb) @> to_jsonb(CAST(? AS text))
-         ORDER BY id",
+         ORDER BY id FOR SHARE",
     })
     .bind_all(values![job.to_string(), event.name()])
     .fetch_all(&mut *connection)

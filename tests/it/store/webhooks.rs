@@ -1,10 +1,13 @@
-//! The outbox of webhooks: whose message is next.
+//! The outbox of webhooks: whose message is next, and what endpoints get that are disabled meanwhile.
 
-use std::time::Duration;
+use std::{sync::Arc, time::Duration};
 
 use jiff::SignedDuration;
+use sqlx::{Connection as _, PgConnection};
+use tcgs::domain::ProjectId;
 
 use super::totals::Fixture;
+use crate::support::{database::Database, eventually::eventually};
 
 const LEASE: Duration = Duration::from_secs(60);
 
@@ -34,4 +37,26 @@ async fn projects_take_turns_however_long_the_messages_of_one_have_been_due() {
         turns.push(project);
     }
     assert_eq!(turns, [1, 2, 3, 1, 2, 3, 1, 2, 3]);
+}
+
+#[tokio::test]
+async fn an_endpoint_that_is_being_disabled_gets_no_message() {
+    let Some(fixture) = Fixture::new().await else { return };
+    // SQLite writes one thing at a time.
+    let Database::Postgres(postgres) = &fixture.database else { return };
+    fixture.endpoint(ProjectId::DEFAULT).await;
+    let mut connection = PgConnection::connect(postgres.url().expose()).await.expect("a connection");
+    let mut disabling = connection.begin().await.expect("a transaction");
+    let disabled = sqlx::query("UPDATE webhook_endpoints SET disabled_at = 1").execute(&mut *disabling).await;
+    assert_eq!(disabled.expect("written").rows_affected(), 1);
+    let (store, new) = (Arc::clone(&fixture.store), fixture.new_job(1, ProjectId::DEFAULT, "a dataset"));
+    let creating = tokio::spawn(async move { store.create_job(new).await.expect("created") });
+    let waiting = "SELECT count(*) FROM pg_stat_activity WHERE datname = current_database() AND wait_event_type = 'Lock'";
+    eventually("the job waits for the endpoint, or is there", async || {
+        creating.is_finished() || fixture.database.number(waiting).await > 0
+    })
+    .await;
+    disabling.commit().await.expect("committed");
+    creating.await.expect("no panic");
+    assert!(fixture.store.take_delivery(LEASE).await.expect("read").is_none());
 }
