@@ -3,7 +3,7 @@
 
 use axum::{
     body::Body,
-    http::{HeaderMap, HeaderValue, StatusCode, header},
+    http::{HeaderMap, HeaderValue, Method, StatusCode, header},
     response::IntoResponse as _,
 };
 use base64::{Engine as _, engine::general_purpose::STANDARD};
@@ -53,8 +53,8 @@ pub(crate) fn media_type(kind: ArtifactKind) -> &'static str {
     }
 }
 
-/// Answers `GET` and `HEAD` of a file.
-pub(crate) async fn serve(state: &AppState, request: &HeaderMap, file: File) -> ApiResult {
+/// Answers `GET` and `HEAD` of a file. `HEAD` is about the whole file, since ranges are defined for `GET` alone, and does not open it.
+pub(crate) async fn serve(state: &AppState, method: &Method, request: &HeaderMap, file: File) -> ApiResult {
     let File { blob, media_type, name } = file;
     let etag = Etag::new(blob.digest);
     if etag.if_match(request) == IfMatch::Differs {
@@ -63,13 +63,14 @@ pub(crate) async fn serve(state: &AppState, request: &HeaderMap, file: File) -> 
     if etag.is_in_if_none_match(request) {
         return Ok(not_modified(&etag));
     }
-    let range = request.get(header::RANGE).filter(|_| etag.allows_range(request));
+    let is_head = *method == Method::HEAD;
+    let range = request.get(header::RANGE).filter(|_| !is_head && etag.allows_range(request));
     let (status, part) = match parse_range(range.and_then(|value| value.to_str().ok()), blob.bytes) {
         ByteRange::Whole => (StatusCode::OK, 0..blob.bytes),
         ByteRange::Part(part) => (StatusCode::PARTIAL_CONTENT, part),
         ByteRange::Unsatisfiable => return Err(unsatisfiable(blob.bytes)),
     };
-    let body = if part.is_empty() {
+    let body = if is_head || part.is_empty() {
         Body::empty()
     } else if part == (0..blob.bytes) {
         Body::from_stream(state.blobs().stream_whole(blob).await?)

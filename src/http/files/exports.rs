@@ -12,7 +12,7 @@ use std::{
 use axum::{
     Extension,
     extract::State,
-    http::{HeaderMap, HeaderName, HeaderValue},
+    http::{HeaderMap, HeaderName, HeaderValue, Method},
 };
 use bytes::Bytes;
 use futures_util::{
@@ -80,6 +80,7 @@ pub(crate) async fn get(
     OwnedJob(record): OwnedJob,
     mut parameters: Parameters,
     link: Option<Extension<FollowedLink>>,
+    method: Method,
     request: HeaderMap,
 ) -> ApiResult {
     let format = take_format(&mut parameters)?;
@@ -99,7 +100,7 @@ pub(crate) async fn get(
         (export.blob, export.fidelity)
     };
     let file = File::new(record.job.id, ArtifactKind::Scene(format), source.lambda, blob);
-    let mut response = serve(&state, &request, file).await?;
+    let mut response = serve(&state, &method, &request, file).await?;
     if response.status().is_success()
         && let Some(ExportFidelity { psnr, .. }) = fidelity
         && let Ok(psnr) = HeaderValue::try_from(format!("{psnr:.2}"))

@@ -6,7 +6,7 @@ pub(super) mod exports;
 use axum::{
     Json,
     extract::{Path, State},
-    http::{HeaderMap, header},
+    http::{HeaderMap, Method, header},
     response::IntoResponse,
 };
 use serde::Serialize;
@@ -55,12 +55,14 @@ pub(super) async fn get(
     State(state): State<AppState>,
     OwnedJob(record): OwnedJob,
     mut parameters: Parameters,
+    method: Method,
     request: HeaderMap,
 ) -> ApiResult {
     let lambda = take_lambda(&mut parameters)?;
     parameters.finish()?;
     let SceneArtifact { format, lambda, blob } = file_of(&record, lambda)?;
-    serve(&state, &request, File::new(record.job.id, ArtifactKind::Scene(format), lambda, blob)).await
+    let file = File::new(record.job.id, ArtifactKind::Scene(format), lambda, blob);
+    serve(&state, &method, &request, file).await
 }
 
 /// `GET` and `HEAD /v1/artifacts/{sha256}`.
@@ -68,6 +70,7 @@ pub(super) async fn by_hash(
     State(state): State<AppState>,
     caller: Caller,
     Path(hash): Path<String>,
+    method: Method,
     request: HeaderMap,
 ) -> ApiResult {
     let found = match hash.parse::<Digest>() {
@@ -78,7 +81,7 @@ pub(super) async fn by_hash(
         let detail = "no file of yours has this SHA-256; the artifacts of a job list what it has";
         ProblemType::ArtifactNotFound.because(detail)
     })?;
-    serve(&state, &request, found.into()).await
+    serve(&state, &method, &request, found.into()).await
 }
 
 #[derive(Debug, Serialize)]

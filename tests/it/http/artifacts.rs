@@ -68,6 +68,10 @@ pub(super) async fn the_file_is_served_whole_in_parts_and_conditionally(coverage
     assert!(head.body.is_empty());
     assert_eq!(head.header("content-length"), whole.header("content-length"));
     assert_eq!(head.header("repr-digest"), whole.header("repr-digest"));
+    for range in ["bytes=0-1", "bytes=1000000-"] {
+        let head = server.send("HEAD", &path, |request| request.header("range", range)).await.expect(200);
+        assert_eq!(head.header("content-length"), whole.header("content-length"), "ranges are of GET");
+    }
 
     let part = with("range", "bytes=5-9".into()).await.expect(206);
     assert_eq!(part.body, fakes::FILE[5..10]);
