@@ -10,10 +10,10 @@ use serde::Deserialize;
 use tokio::task::spawn_blocking;
 
 use super::{
-    OwnedJob,
+    JobPath, OwnedJob,
     create::respond,
     create_request::{check_deadline, deadline},
-    etag, representation,
+    etag, find, representation,
 };
 use crate::{
     domain::{Caller, Digest, JobId, JobState, ProblemType},
@@ -55,18 +55,23 @@ impl JsonBody for RetryJobRequest {
 /// `POST /v1/jobs/{id}/retry`.
 pub(crate) async fn retry(
     State(state): State<AppState>,
-    OwnedJob(record): OwnedJob,
+    JobPath(id): JobPath,
     caller: Caller,
     uri: Uri,
     headers: HeaderMap,
     body: Body,
 ) -> ApiResult {
-    let id = record.job.id;
     let request = CreateRequest { state: &state, caller, uri: &uri, headers: &headers };
     let guard = request.begin()?;
+    let job = match find(&state, caller, &id).await {
+        // What an earlier request with the same key made is answered also if the job has been deleted since.
+        Err(fault) if guard.is_none() => return Err(fault),
+        found => found,
+    };
     let content = read_optional_json(&mut body.into_data_stream(), &headers, &state.limits).await?;
     let intent = request.intent(guard.as_ref(), Digest::of(content.as_deref().unwrap_or_default()));
     let create = async {
+        let id = job?.job.id;
         let RetryJobRequest { from_checkpoint, deadline_s } =
             content.as_deref().map(parse_json).transpose()?.unwrap_or_default();
         deadline_s.map(check_deadline).transpose()?;

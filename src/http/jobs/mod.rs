@@ -23,7 +23,10 @@ use super::{
     request::{Etag, not_modified, prefer},
     state::AppState,
 };
-use crate::{domain::ProblemType, store::JobRecord};
+use crate::{
+    domain::{Caller, ProblemType},
+    store::JobRecord,
+};
 
 /// Seconds after which a client that polls an unfinished job should ask again.
 const POLL_SECONDS: u32 = 2;
@@ -37,13 +40,33 @@ impl FromRequestParts<AppState> for OwnedJob {
 
     async fn from_request_parts(parts: &mut Parts, state: &AppState) -> ApiResult<Self> {
         let caller = caller(parts)?;
+        let JobPath(id) = JobPath::from_request_parts(parts, state).await?;
+        find(state, caller, &id).await.map(Self)
+    }
+}
+
+/// What a path names a job by, whether there is one or not.
+pub(super) struct JobPath(pub(super) String);
+
+impl FromRequestParts<AppState> for JobPath {
+    type Rejection = ProblemResponse;
+
+    async fn from_request_parts(parts: &mut Parts, state: &AppState) -> ApiResult<Self> {
         let Path(id) = Path::<String>::from_request_parts(parts, state)
             .await
             .map_err(|rejection| ProblemType::Refused.because(rejection.body_text()))?;
-        let Ok(parsed) = id.parse() else { return Err(ProblemResponse::no_job(&id)) };
-        let record = state.store().job(parsed).await?.filter(|record| caller.may_see(record.project));
-        record.map(Self).ok_or_else(|| ProblemResponse::no_job(&id))
+        Ok(Self(id))
     }
+}
+
+/// The job that a path names.
+///
+/// # Errors
+/// 404 if there is none, and if it is another's.
+async fn find(state: &AppState, caller: Caller, id: &str) -> ApiResult<JobRecord> {
+    let Ok(parsed) = id.parse() else { return Err(ProblemResponse::no_job(id)) };
+    let record = state.store().job(parsed).await?.filter(|record| caller.may_see(record.project));
+    record.ok_or_else(|| ProblemResponse::no_job(id))
 }
 
 /// `GET /v1/jobs/{id}`.

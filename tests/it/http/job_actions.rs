@@ -188,6 +188,18 @@ pub(super) async fn a_failed_or_cancelled_job_is_retried_as_a_new_one(coverage: 
     let other = server.send("POST", &retry, |request| request.header("idempotency-key", "k")).await;
     other.expect_problem(422, "idempotency-key-reused");
 
+    server.send("DELETE", &path, |request| request).await.expect(204);
+    let after = keyed().await.expect(201);
+    assert_eq!(
+        after.header("idempotency-replayed"),
+        "true",
+        "the retried job is deleted, its repetition is not"
+    );
+    assert_eq!(after.header("location"), third.header("location"));
+    server.post(&retry).await.expect_problem(404, "job-not-found");
+    let path = third.header("location").to_owned();
+    let retry = format!("{path}/retry");
+
     let done = server.succeeded().await;
     let detail = server.post(&format!("{done}/retry")).await.expect_problem(409, "job-not-retryable");
     assert!(detail.contains("succeeded"), "{detail}");
