@@ -74,7 +74,6 @@ pub(super) async fn create(
             return Err(invalid(&format!("{detail}; set them by PATCH /v1/projects/{id}")));
         }
     };
-    let services = &state.services;
     let wanted = KeyRequest {
         name: &request.name,
         scopes: &request.scopes,
@@ -82,7 +81,8 @@ pub(super) async fn create(
         expires_at: request.expires_at,
         requests_per_minute: request.requests_per_minute,
     };
-    let drawn = NewKey::generate(&*services.entropy, services.clock.now(), wanted);
+    // The database's time, by which keys expire.
+    let drawn = NewKey::generate(&*state.services.entropy, state.store().time().await?, wanted);
     let (new, key) = drawn.map_err(|error| refused(&error))?;
     let record = state.store().create_key(new).await?;
     tracing::info!(key = %record.id, "key {} is created", record.id);
@@ -140,7 +140,8 @@ pub(super) async fn change(
     let record = find(&state, &id).await?;
     let ChangeKeyRequest { name, requests_per_minute, expires_at } = request;
     let change = KeyChange { name, requests_per_minute, expires_at };
-    let change = change.checked(&record, state.services.clock.now()).map_err(|error| refused(&error))?;
+    let now = state.store().time().await?;
+    let change = change.checked(&record, now).map_err(|error| refused(&error))?;
     let record = state.store().update_key(record.id, change).await?.ok_or_else(|| no_key(&id))?;
     tracing::info!(key = %record.id, "key {} is changed", record.id);
     Ok(([(header::CACHE_CONTROL, "no-store")], Json(record)))

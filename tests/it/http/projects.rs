@@ -401,6 +401,25 @@ pub(super) async fn jobs_have_names_labels_attempts_and_places_in_the_queue(cove
     with(&server, &key, "GET", &other, None).await.expect_problem(404, "project-not-found");
 }
 
+#[tokio::test]
+async fn the_expiry_of_a_key_is_judged_by_the_clock_of_the_database() {
+    let clock = Arc::new(ManualClock::new("2026-11-21T12:00:00Z".parse().expect("an instant")));
+    let server = Server::start_with(&Coverage::default(), Setup { clock: clock.clone(), ..idle() }).await;
+    let admin = server.key(&[Scope::Admin]).await;
+    let at = |minutes: i64| (clock.now() + SignedDuration::from_mins(minutes)).to_string();
+    for (ahead, past, future) in [(10, 5, 15), (-10, -15, -5)] {
+        server.store.set_ahead(SignedDuration::from_mins(ahead));
+        let body = |minutes| json!({ "name": "short", "scopes": ["read"], "expires_at": at(minutes) });
+        let refused = with(&server, &admin, "POST", "/v1/keys", Some(body(past))).await;
+        refused.expect_problem(422, "invalid-key-request");
+        let made = with(&server, &admin, "POST", "/v1/keys", Some(body(future))).await.expect(201);
+        let path = made.header("location").to_owned();
+        let change = json!({ "expires_at": at(past) });
+        let refused = with(&server, &admin, "PATCH", &path, Some(change)).await;
+        refused.expect_problem(422, "invalid-key-request");
+    }
+}
+
 pub(super) async fn what_an_administrator_makes_of_a_projects_things_is_the_projects(coverage: Coverage) {
     let server = Server::start_with(&coverage, idle()).await;
     let owner = server.key(&WRITES).await;

@@ -16,7 +16,7 @@ use std::{
 };
 
 use futures_util::future::BoxFuture;
-use jiff::Timestamp;
+use jiff::{SignedDuration, Timestamp};
 use tcgs::{
     domain::{DatasetId, Digest, Event, JobId, JobState, Phase, Progress, ProjectId, UploadId},
     store::{
@@ -52,6 +52,8 @@ pub struct FaultStore {
     refused_ends: AtomicU32,
     largest_reads: AtomicU32,
     pings: AtomicU32,
+    /// How far its clock is ahead.
+    ahead: Mutex<SignedDuration>,
     /// What is still to be done.
     late: Mutex<Vec<BoxFuture<'static, ()>>>,
 }
@@ -64,6 +66,7 @@ impl FaultStore {
             refused_ends: AtomicU32::new(0),
             largest_reads: AtomicU32::new(0),
             pings: AtomicU32::new(0),
+            ahead: Mutex::default(),
             late: Mutex::default(),
         }
     }
@@ -71,6 +74,11 @@ impl FaultStore {
     /// From now on, every call fails so, or none does.
     pub fn set(&self, failing: Option<Failing>) {
         *self.failing.lock().expect("not poisoned") = failing;
+    }
+
+    /// From now on, its clock is so far ahead of the service's.
+    pub fn set_ahead(&self, ahead: SignedDuration) {
+        *self.ahead.lock().expect("not poisoned") = ahead;
     }
 
     /// How many ends of attempts were refused by [`Failing::FullForEnds`].
@@ -178,7 +186,8 @@ impl Retention for FaultStore {
 
 impl Store for FaultStore {
     fn time(&self) -> StoreFuture<'_, Timestamp> {
-        self.guard(self.inner.time())
+        let ahead = *self.ahead.lock().expect("not poisoned");
+        self.guard(Box::pin(async move { Ok(self.inner.time().await? + ahead) }))
     }
     fn create_job(&self, new: NewJob) -> StoreFuture<'_, JobRecord> {
         let inner = Arc::clone(&self.inner);
