@@ -47,10 +47,10 @@ impl QueuePolicy {
         doubled.min(self.backoff_cap).mul_f64(0.9 + 0.2 * f64::from(draw) / 255.0)
     }
 
-    /// The delay after a job was held whose attempts were not charged `refunded` times before.
+    /// The delay after a job was held whose `earlier` attempts before were held too.
     #[must_use]
-    pub fn hold(&self, refunded: u32) -> Duration {
-        self.hold_delay.saturating_mul(1_u32 << refunded.min(20)).min(self.hold_cap)
+    pub fn hold(&self, earlier: u32) -> Duration {
+        self.hold_delay.saturating_mul(1_u32 << earlier.min(20)).min(self.hold_cap)
     }
 }
 

@@ -17,6 +17,8 @@ pub(super) struct AttemptState {
     pub(super) attempt: u32,
     pub(super) charged: u32,
     pub(super) max_attempts: u32,
+    /// Attempts in a row before this one that were held; only known of an attempt that is held itself.
+    pub(super) holds: u32,
     /// Attempts lost in a row before this one.
     pub(super) losses: LossStreak,
     /// Step of the newest checkpoint.
@@ -105,7 +107,7 @@ fn by_end(
             AttemptOutcome::Released,
             Some(problem),
             NextState::Requeue {
-                delay: policy.hold(state.attempt.saturating_sub(state.charged)),
+                delay: policy.hold(state.holds),
                 refund: true,
                 losses: state.losses_so_far(),
             },
@@ -214,6 +216,7 @@ mod tests {
             attempt: charged,
             charged,
             max_attempts: 3,
+            holds: 0,
             losses: LossStreak { alone, with_service: 0 },
             checkpoint: 0,
             checkpoint_advanced: false,
@@ -319,8 +322,8 @@ mod tests {
     #[test]
     fn a_job_that_is_held_again_and_again_waits_longer_but_a_minute_at_most() {
         let policy = QueuePolicy::default();
-        let delays = [1, 2, 3, 4, 1000].map(|attempt| {
-            let state = AttemptState { attempt, ..attempt_state(1, 0, false) };
+        let delays = [0, 1, 2, 3, 1000].map(|holds| {
+            let state = AttemptState { holds, ..attempt_state(1, 0, false) };
             let (_, _, next) = decide(&policy, &state, AttemptEnd::Reported(Outcome::Held(problem())));
             let NextState::Requeue { delay, .. } = next else { panic!("{next:?}") };
             delay.as_secs()

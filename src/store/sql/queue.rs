@@ -388,8 +388,25 @@ pub(super) async fn finish(
 ) -> Result<JobState, StoreError> {
     locks::job(connection, lease.job).await?;
     let row = leased_job(connection, lease).await?;
-    end_attempt(connection, policy, &rows::attempt_state(&row, now)?, AttemptEnd::Reported(outcome), now)
-        .await
+    let mut attempt_state = rows::attempt_state(&row, now)?;
+    if matches!(outcome, Outcome::Held(_)) {
+        attempt_state.holds = holds_before(connection, lease).await?;
+    }
+    end_attempt(connection, policy, &attempt_state, AttemptEnd::Reported(outcome), now).await
+}
+
+/// The attempts in a row before this one that were held: unlike those that a stopping worker released, they have a cause.
+async fn holds_before(connection: &mut Transaction, lease: &Lease) -> Result<u32, StoreError> {
+    let row = query(
+        "SELECT count(*) AS holds FROM attempts
+         WHERE job_id = ?1 AND number < ?2 AND number > COALESCE(
+             (SELECT max(number) FROM attempts
+              WHERE job_id = ?1 AND number < ?2 AND (outcome <> 'released' OR cause IS NULL)), 0)",
+    )
+    .bind_all(values![lease.job.to_string(), lease.attempt])
+    .fetch_one(connection)
+    .await?;
+    rows::whole(&row, "holds")
 }
 
 async fn end_attempt(

@@ -269,6 +269,7 @@ pub(super) fn attempt_state(row: &Row, now: Timestamp) -> Result<AttemptState, S
         attempt: whole(row, "attempt")?,
         charged: whole(row, "charged")?,
         max_attempts: whole(row, "max_attempts")?,
+        holds: 0,
         losses: LossStreak { alone: whole(row, "silent_deaths")?, with_service: whole(row, "setbacks")? },
         checkpoint,
         checkpoint_advanced: checkpoint > whole::<u64>(row, "setback_step")?,

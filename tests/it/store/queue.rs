@@ -819,6 +819,25 @@ async fn a_held_job_states_the_cause_and_is_retried_without_a_charge() {
     );
 }
 
+#[tokio::test]
+async fn a_job_that_was_released_before_waits_no_longer_at_its_first_hold() {
+    let Some(queue) = Queue::new().await else { return };
+    queue.add(1).await;
+    for _ in 0..3 {
+        queue.store.finish(&queue.lease().await, Outcome::Released).await.expect("ended");
+    }
+    for seconds in [10, 20, 40, 60] {
+        queue.store.finish(&queue.lease().await, Outcome::Held(problem())).await.expect("ended");
+        queue.pass(seconds - 1);
+        assert_eq!(queue.claim().await, None, "it waits for {seconds} s");
+        queue.pass(1);
+    }
+    queue.store.finish(&queue.lease().await, Outcome::Released).await.expect("ended");
+    queue.store.finish(&queue.lease().await, Outcome::Held(problem())).await.expect("ended");
+    queue.pass(10);
+    queue.lease().await;
+}
+
 async fn project(queue: &Queue, number: u128, limits: ProjectLimits) -> ProjectId {
     let new = NewProject { id: ProjectId(Uuid::from_u128(number)), name: "a project".into(), limits };
     queue.store.create_project(new).await.expect("created").id
