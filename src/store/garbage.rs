@@ -32,7 +32,8 @@ with_defaults! {
     pub struct GarbagePolicy {
         /// Time between two collections, unless one is requested earlier.
         pub every: Duration = Duration::from_secs(600),
-        /// Shortest time between two collections.
+        /// Shortest time between two collections. It is as long as the one before took if that is longer, so that requests for a collection do
+        /// not keep the disk or the bucket busy all the time.
         pub at_most_every: Duration = Duration::from_secs(10),
         /// How long a published blob may stay unreferenced.
         pub blob_grace: SignedDuration = SignedDuration::from_hours(1),
@@ -40,6 +41,13 @@ with_defaults! {
         pub upload_ttl: SignedDuration = SignedDuration::from_hours(7 * 24),
         /// How long an ended job is kept; for ever if `None`.
         pub keep_jobs: Option<Duration> = None,
+    }
+}
+
+impl GarbagePolicy {
+    /// Shortest time between a collection that took as long as `took` and the next one.
+    fn rest(&self, took: Duration) -> Duration {
+        self.at_most_every.max(took)
     }
 }
 
@@ -226,8 +234,9 @@ pub async fn collect_garbage(
                 tracing::warn!(error = &error as &dyn Error, "garbage collection failed: {error}");
             }
         }
+        let ended = Instant::now();
         let pause = async {
-            sleep_until(began + policy.at_most_every).await;
+            sleep_until(ended + policy.rest(ended - began)).await;
             tokio::select! {
                 () = sleep_until(began + policy.every) => {}
                 () = blobs.collection_requested() => {}
@@ -244,4 +253,17 @@ pub async fn collect_garbage(
 async fn overdue(stop: &CancellationToken) {
     stop.cancelled().await;
     sleep(STOP_TIME).await;
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn collections_take_half_of_the_time_at_most() {
+        let policy = GarbagePolicy::default();
+        for (took, rest) in [(0, 10), (10, 10), (3600, 3600)] {
+            assert_eq!(policy.rest(Duration::from_secs(took)), Duration::from_secs(rest));
+        }
+    }
 }
