@@ -11,8 +11,8 @@ const SAMPLE_SHARE: f64 = 0.15;
 /// Weight of the planes' reconstruction loss (METHOD.md §4.6).
 const RECONSTRUCTION: f32 = 0.01;
 
-/// Default weight of the bits per element in the loss: the published one (METHOD.md §4.8), and a smaller one that costs half a decibel
-/// less for a quarter more bytes.
+/// Default weight of the bits per element in the loss: the published one (METHOD.md §4.8), and a smaller one, with which a run of 10 000
+/// steps comes to the PSNR of plain Gaussians.
 const PUBLISHED_LAMBDA: f64 = 1e-3;
 const DEFAULT_LAMBDA: f64 = 5e-4;
 
