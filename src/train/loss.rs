@@ -243,26 +243,26 @@ impl ImageLoss {
         recorder.write(&fields.photograph, photograph);
         let samples = (3 * division.pixels()) as f64;
         let blocks = if wavelet.is_some() { division.blocks() } else { 0 };
-        let image = ImageUniform {
-            size: [size[0], size[1], division.run, division.shares() + blocks],
-            weights: [((1.0 - SSIM_WEIGHT) / samples) as f32, (SSIM_WEIGHT / samples) as f32, 0.0, 0.0],
-            channels: [0, division.channels, 0, 0],
+        let uniform = |first| {
+            recorder.uniform(&[ImageUniform {
+                size: [size[0], size[1], division.run, division.shares() + blocks],
+                weights: [((1.0 - SSIM_WEIGHT) / samples) as f32, (SSIM_WEIGHT / samples) as f32, 0.0, 0.0],
+                channels: [first, division.channels, 0, 0],
+            }])
         };
-        let mut uniform = recorder.uniform(&[image])?;
+        let first_channels = (0..CHANNELS).step_by(division.channels as usize);
+        let uniforms = first_channels.map(uniform).collect::<Result<Vec<_>, _>>()?;
         let [by_rows, by_columns] = [division.by_rows(), division.by_columns()]
             .map(|invocations| (division.channels * invocations).div_ceil(64));
-        for first in (0..CHANNELS).step_by(division.channels as usize) {
-            if first > 0 {
-                uniform = recorder.uniform(&[ImageUniform { channels: [first, 1, 0, 0], ..image }])?;
-            }
+        for uniform in &uniforms {
             recorder.dispatch(
                 &self.kernels.rows,
-                &[&uniform, render, &fields.photograph, &fields.moments],
+                &[uniform, render, &fields.photograph, &fields.moments],
                 by_rows,
             );
             recorder.dispatch(
                 &self.kernels.columns,
-                &[&uniform, &fields.moments, &fields.derivatives, &fields.losses],
+                &[uniform, &fields.moments, &fields.derivatives, &fields.losses],
                 by_columns,
             );
             recorder.dispatch(
@@ -288,7 +288,7 @@ impl ImageLoss {
         }
         recorder.dispatch(
             &self.kernels.sums,
-            &[&uniform, &fields.losses, &fields.sums],
+            &[&uniforms[0], &fields.losses, &fields.sums],
             fields.sums.len() as u32,
         );
         Ok(&fields.gradient)
