@@ -101,17 +101,17 @@ enum Command {
     /// Send a dataset to a service as a job
     Submit(remote::submit::Args),
     /// Follow a job of a service to its end
-    Watch(remote::watch::Args),
+    Watch(remote::JobArgs),
     /// Download the file of a job of a service
     Fetch(remote::fetch::Args),
     /// List the jobs of a service, newest first
     Jobs(remote::jobs::Args),
     /// Cancel a job of a service
-    Cancel(remote::actions::JobArgs),
+    Cancel(remote::JobArgs),
     /// Queue a failed or cancelled job of a service again
     Retry(remote::actions::RetryArgs),
     /// Delete an ended job of a service with its files
-    Delete(remote::actions::JobArgs),
+    Delete(remote::JobArgs),
     /// Save a view of a job's scene that the service renders
     View(remote::view::Args),
     /// Write the bundled ray-traced scene as a dataset

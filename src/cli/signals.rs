@@ -4,7 +4,7 @@ use std::{
     io,
     sync::{
         Arc,
-        atomic::{AtomicI32, Ordering},
+        atomic::{AtomicU8, Ordering},
     },
     thread,
     time::Duration,
@@ -33,7 +33,7 @@ impl Signals {
     }
 
     /// Waits for one, and returns the exit status of a process that it ends, as shells have it.
-    pub(crate) async fn next(&mut self) -> i32 {
+    pub(crate) async fn next(&mut self) -> u8 {
         tokio::select! {
             _ = self.interrupt.recv() => 128 + 2,
             _ = self.terminate.recv() => 128 + 15,
@@ -53,7 +53,7 @@ impl Signals {
     }
 
     /// Waits for one, and returns the exit status of a process that it ends.
-    pub(crate) async fn next(&mut self) -> i32 {
+    pub(crate) async fn next(&mut self) -> u8 {
         self.0.recv().await;
         130
     }
@@ -64,8 +64,8 @@ impl Signals {
 pub(crate) struct Interruption {
     /// Set by the first signal.
     pub(crate) cancel: CancelFlag,
-    /// Exit status of a process that the signal ends; zero before the first.
-    status: Arc<AtomicI32>,
+    /// Exit status of a process that the signal ends; set before `cancel` is.
+    status: Arc<AtomicU8>,
 }
 
 impl Interruption {
@@ -93,7 +93,7 @@ impl Interruption {
                 tokio::time::sleep(SIGNAL_DEBOUNCE).await;
                 // New listeners do not get the signals that arrived meanwhile.
                 if let Ok(mut signals) = Signals::listen() {
-                    std::process::exit(signals.next().await);
+                    std::process::exit(signals.next().await.into());
                 }
             });
         };
@@ -102,7 +102,6 @@ impl Interruption {
 
     /// The error of the run that was cancelled; `advice` says how to go on.
     pub(crate) fn error(&self, advice: impl Into<String>) -> CliError {
-        let status = u8::try_from(self.status.load(Ordering::Relaxed)).unwrap_or(1).max(1);
-        CliError::Stopped { status, advice: advice.into() }
+        CliError::Stopped { status: self.status.load(Ordering::Relaxed), advice: advice.into() }
     }
 }

@@ -4,25 +4,13 @@ use std::cell::Cell;
 
 use reqwest::Method;
 use serde_json::{Map, json};
-use tcgs::domain::{JobId, JobState, ProblemType};
+use tcgs::domain::{JobState, ProblemType};
 
-use super::{ServerFlags, connection::document, job};
+use super::{
+    connection::document,
+    job::{self, JobArgs},
+};
 use crate::cli::{CliError, Report};
-
-/// Arguments of `tcgs cancel` and `tcgs delete`.
-#[derive(Debug, clap::Args)]
-pub(crate) struct JobArgs {
-    /// The job: its id, or an address that ends with it
-    #[arg(value_parser = job::parse)]
-    job: JobId,
-
-    #[command(flatten)]
-    server: ServerFlags,
-
-    /// Print the outcome as one JSON document
-    #[arg(long)]
-    pub(crate) json: bool,
-}
 
 /// Arguments of `tcgs retry`.
 #[derive(Debug, clap::Args)]

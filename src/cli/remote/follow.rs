@@ -64,17 +64,17 @@ pub(super) async fn follow(
 }
 
 /// Waits for a signal; for ever, if none can be received.
-async fn next(signals: io::Result<Signals>) -> i32 {
+async fn next(signals: io::Result<Signals>) -> u8 {
     match signals {
         Ok(mut signals) => signals.next().await,
         Err(_) => std::future::pending().await,
     }
 }
 
-fn stopped(status: i32, id: JobId, server: &ServerFlags) -> CliError {
+fn stopped(status: u8, id: JobId, server: &ServerFlags) -> CliError {
     let [cancel, watch] = ["cancel", "watch"].map(|command| server.command_line(&format!("{command} {id}")));
     let advice = format!("the job goes on; cancel it with '{cancel}', or follow it again with '{watch}'");
-    CliError::Stopped { status: u8::try_from(status).unwrap_or(1), advice }
+    CliError::Stopped { status, advice }
 }
 
 struct Follower<'a> {

@@ -7,6 +7,21 @@ use tcgs::domain::{JobId, JobMetrics, JobState, Phase, Problem, ProblemType, Pro
 use super::{Connection, ServerFlags};
 use crate::cli::{CliError, Report, train};
 
+/// Arguments of `tcgs watch`, `tcgs cancel` and `tcgs delete`.
+#[derive(Debug, clap::Args)]
+pub(crate) struct JobArgs {
+    /// The job: its id, or an address that ends with it
+    #[arg(value_parser = parse)]
+    pub(super) job: JobId,
+
+    #[command(flatten)]
+    pub(super) server: ServerFlags,
+
+    /// Print the outcome as one JSON document
+    #[arg(long)]
+    pub(crate) json: bool,
+}
+
 /// The fields of a job that the commands use.
 #[derive(Debug, Deserialize)]
 pub(super) struct JobView {

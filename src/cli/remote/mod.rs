@@ -28,6 +28,7 @@ use tcgs::domain::{Problem, ProblemType};
 
 use super::{CliError, files};
 use connection::Connection;
+pub(super) use job::JobArgs;
 
 /// Where the service is if neither a flag nor a variable says it.
 const DEFAULT_SERVER: &str = "http://127.0.0.1:8080";

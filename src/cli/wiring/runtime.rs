@@ -44,7 +44,7 @@ pub(super) fn stop_on_signals() -> Result<CancellationToken, CliError> {
                 tracing::warn!(
                     "ending at once; jobs under way go back to the queue, at the latest when their leases run out"
                 );
-                std::process::exit(status);
+                std::process::exit(status.into());
             }
             Err(fault) => tracing::warn!(%fault, "a second signal cannot be received"),
         }

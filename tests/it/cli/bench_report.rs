@@ -207,24 +207,26 @@ fn what_a_report_cannot_do_is_said_before_it_begins() {
 /// A converter that gives back what it gets, and says that it takes 1234 bytes.
 #[cfg(unix)]
 fn write_converter(path: &Path) {
-    use std::os::unix::fs::PermissionsExt as _;
     let script = "#!/bin/sh\nset -e\ncp \"$1\" \"$2/same.ply\"\n\
         printf 'format\\tbytes\\tdecoded\\nsame\\t1234\\tsame.ply\\n' >\"$2/sizes.tsv\"\n";
-    fs::write(path, script).expect("writes");
+    write_script(path, script);
+}
+
+#[cfg(unix)]
+fn write_script(path: &Path, text: &str) {
+    use std::os::unix::fs::PermissionsExt as _;
+    fs::write(path, text).expect("writes");
     fs::set_permissions(path, fs::Permissions::from_mode(0o755)).expect("permissions");
 }
 
 #[cfg(unix)]
 #[test]
 fn a_run_whose_conversion_fails_is_kept_without_it() {
-    use std::os::unix::fs::PermissionsExt as _;
-
     let folder = tempfile::tempdir().expect("a folder");
     let at = |name: &str| folder.path().join(name);
     let (sets, out, matrix, script) = (at("sets"), at("out"), at("m.toml"), at("convert.sh"));
     write_set(&sets.join("ball"));
-    fs::write(&script, "#!/bin/sh\nexit 3\n").expect("writes");
-    fs::set_permissions(&script, fs::Permissions::from_mode(0o755)).expect("executable");
+    write_script(&script, "#!/bin/sh\nexit 3\n");
     let runs = "[[runs]]\nmodels = [\"3dgs\"]\nsteps = [2]\n";
     fs::write(&matrix, format!("external_formats = \"convert.sh\"\nreference_views = 0\n{runs}"))
         .expect("writes");
