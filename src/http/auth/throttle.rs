@@ -12,17 +12,18 @@ use std::{
     time::Duration,
 };
 
-use crate::{
-    domain::{Clock, KeyId},
-    http::{config::AccessRules, server::client_address::ClientAddress},
-    store::KeyRecord,
-};
 use governor::{
     NotUntil, Quota, RateLimiter,
     clock::Clock as _,
     middleware::NoOpMiddleware,
     nanos::Nanos,
     state::{InMemoryState, NotKeyed, keyed::HashMapStateStore},
+};
+
+use crate::{
+    domain::{Clock, KeyId},
+    http::{config::AccessRules, server::client_address::ClientAddress},
+    store::KeyRecord,
 };
 
 /// Addresses with a bucket of their own; once there are more, new ones share one.
