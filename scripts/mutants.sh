@@ -44,7 +44,7 @@ http)
     parts=(render pipeline)
     features='"service"'
     dev_dependencies='.*'
-    support=(authority balancer contract database eventually fakes faults postgres receiver service skip server sse)
+    support=(authority balancer bucket contract database eventually fakes faults postgres receiver service skip server sse)
     files=(migrations openapi.yaml)
     without=()
     # Three run the program, one runs all scenarios again; the others take 3 to 14 s each, 65 s together.
