@@ -105,6 +105,8 @@ mod tests {
             {
                 assert_eq!(classified(method, &[("origin", origin)]), None, "{method} {origin}");
             }
+            let own = [("origin", "http://localhost:8080")];
+            assert_eq!(classified(method, &own), Some(RequestOrigin::Own), "{method} by the service's page");
             let twice = [("sec-fetch-site", "same-origin"), ("sec-fetch-site", "cross-site")];
             assert_eq!(classified(method, &twice), None, "{method}");
         }

@@ -187,5 +187,8 @@ mod tests {
             assert_eq!(hosts(host).serve_origin(origin), own, "{origin} at {host}");
         }
         assert!(!Hosts::default().serve_origin("http://localhost"));
+        let both = Hosts { target: Host::parse("tcgs.example"), header: Host::parse("localhost") };
+        assert!(both.serve_origin("http://tcgs.example"), "the target takes precedence");
+        assert!(!both.serve_origin("http://localhost"));
     }
 }

@@ -185,7 +185,9 @@ mod tests {
         }
         assert_eq!(throttle.request(&one).map_err(Wait::seconds), Err(20));
         assert_eq!(throttle.request(&other), Ok(()), "keys do not share a bucket");
-        clock.advance(SignedDuration::from_millis(19_500));
+        clock.advance(SignedDuration::from_millis(1_500));
+        assert_eq!(throttle.request(&one).map_err(Wait::seconds), Err(19), "18.5 s would be too soon");
+        clock.advance(SignedDuration::from_millis(18_000));
         assert_eq!(throttle.request(&one).map_err(Wait::seconds), Err(1));
         clock.advance(SignedDuration::from_millis(500));
         assert_eq!(throttle.request(&one), Ok(()));
@@ -202,6 +204,7 @@ mod tests {
         assert_eq!(taken, 2);
         let taken = (0..10).filter(|_| bounded.request(&key(2, Some(5))).is_ok()).count();
         assert_eq!(taken, 5, "a key's own rate goes first");
+        assert_eq!(bounded.request(&key(2, Some(7))), Ok(()), "a rate that is changed holds at once");
     }
 
     #[test]

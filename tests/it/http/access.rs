@@ -110,7 +110,7 @@ pub(super) async fn the_first_key_closes_the_service_and_revoking_the_last_does_
     server.get("/v1/jobs").await.expect_problem(401, "no-key");
     with_key(&server, "GET", "/v1/jobs", &key.key).await.expect(200);
     let lower =
-        |request: reqwest::RequestBuilder| request.header("authorization", format!("bearer {}", key.key));
+        |request: reqwest::RequestBuilder| request.header("authorization", format!("bearer  {}", key.key));
     server.send("GET", "/v1/jobs", lower).await.expect(200);
     let twice = |request: reqwest::RequestBuilder| request.bearer_auth(&key.key).bearer_auth(&key.key);
     server.send("GET", "/v1/jobs", twice).await.expect_problem(401, "invalid-key");
@@ -232,6 +232,11 @@ pub(super) async fn a_key_has_its_rate_and_an_address_a_few_failures(coverage: C
     answer.expect_problem(429, "too-many-failures");
     let answer = server.post("/v1/jobs").await.expect(429);
     assert_eq!(challenges(&answer), ["Bearer realm=\"tcgs\""]);
+    for (method, header) in [("GET", "nonsense"), ("POST", &*basic(b"me", UNKNOWN))] {
+        with_header(&server, method, "/v1/jobs", header).await.expect_problem(429, "too-many-failures");
+    }
+    let form = server.send("POST", "/v1/jobs", |request| request.header("sec-fetch-mode", "navigate"));
+    form.await.expect_problem(429, "too-many-failures");
     // Browsers ask for a key where they are answered 401 and nowhere else.
     for (name, value) in [("accept", "text/html,*/*;q=0.8"), ("sec-fetch-mode", "navigate")] {
         let page = server.send("GET", "/v1/jobs", |request| request.header(name, value)).await;

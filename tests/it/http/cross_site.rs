@@ -1,6 +1,6 @@
 //! Cross-site requests are refused. Over sockets, since HTTP clients would not send most of them.
 
-use std::net::SocketAddr;
+use std::{net::SocketAddr, sync::Arc};
 
 use base64::{Engine as _, engine::general_purpose::STANDARD};
 use serde_json::Value;
@@ -10,10 +10,11 @@ use tokio::{
     net::TcpStream,
 };
 
-use super::access::with_key;
+use super::access::{UNKNOWN, with_key};
 use crate::support::{
     contract::Coverage,
     dataset,
+    faults::Failing,
     server::{Server, Setup},
     service::Service,
 };
@@ -277,4 +278,60 @@ async fn the_metrics_own_listener_answers_to_loopback_names_only_too() {
         "cross-site-request",
         "another page",
     );
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn only_with_keys_does_a_probe_find_the_service_under_any_name() {
+    let coverage = Coverage::default();
+    let setup = || Setup { worker: false, ..Setup::default() };
+    let server = Server::start_with(&coverage, setup()).await;
+    let open = ["/healthz", "/readyz", "/version", "/openapi.yaml"];
+    let asked = async |server: &Server, path: &str, more: &str| {
+        let head = format!("GET {path} HTTP/1.1\r\nHost: tcgs.example\r\n{more}");
+        send(&server.address.to_string(), &head, b"").await
+    };
+    for path in open {
+        asked(&server, path, "").await.expect_problem(421, "foreign-host", path);
+    }
+    // While nobody can say whether there are keys, there count as none.
+    server.store.set(Some(Failing::Gone));
+    asked(&server, "/v1/jobs", "").await.expect_problem(421, "foreign-host", "no answer of the database");
+    server.store.set(None);
+
+    let key = server.key(&[Scope::Read]).await;
+    // The first server knows of them by a request, the second from its start.
+    asked(&server, "/v1/jobs", "").await.expect_problem(401, "no-key", "the first that needs one");
+    let again = Server::start_in(&coverage, setup(), Arc::clone(&server.data)).await;
+    for server in [&server, &again] {
+        for path in open {
+            asked(server, path, "").await.expect(200, path);
+        }
+        let bearer = format!("Authorization: Bearer {}\r\n", key.key);
+        server.store.set(Some(Failing::Busy));
+        asked(server, "/v1/jobs", &bearer).await.expect_problem(503, "busy", "keys are not forgotten");
+        asked(server, "/healthz", "").await.expect(200, "an open operation needs no database");
+        server.store.set(None);
+    }
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn without_keys_a_bearer_token_is_no_proof_of_a_program() {
+    let server = Server::start_with(&Coverage::default(), Setup { worker: false, ..Setup::default() }).await;
+    let address = server.address.to_string();
+    for marks in FOREIGN {
+        let head =
+            format!("GET /v1/jobs HTTP/1.1\r\nHost: localhost\r\nAuthorization: Bearer {UNKNOWN}\r\n{marks}");
+        send(&address, &head, b"").await.expect_problem(403, "cross-site-request", marks);
+    }
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn metrics_that_other_machines_can_reach_are_served_under_any_name() {
+    let tune = |config: &mut tcgs::http::HttpConfig| {
+        config.metrics_listen = Some("0.0.0.0:0".parse().expect("an address"));
+    };
+    let server = Server::start_with(&Coverage::default(), Setup { tune, ..Setup::default() }).await;
+    let port = server.metrics_address.expect("an address").port();
+    let head = "GET /metrics HTTP/1.1\r\nHost: tcgs.example\r\n";
+    send(&format!("127.0.0.1:{port}"), head, b"").await.expect(200, "a scraper");
 }
