@@ -230,3 +230,46 @@ impl IntoResponse for ProblemResponse {
         response
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use std::io;
+
+    use super::*;
+    use crate::domain::DatasetId;
+
+    #[test]
+    fn only_the_beginning_of_a_long_path_is_repeated() {
+        let long = "/x".repeat(4000);
+        for status in [StatusCode::NOT_FOUND, StatusCode::METHOD_NOT_ALLOWED, StatusCode::IM_A_TEAPOT] {
+            let detail = plain(status, "GET", &long).detail;
+            assert!(detail.contains(&long[..200]) && detail.len() < 400, "{detail}");
+        }
+    }
+
+    #[test]
+    fn an_error_of_the_server_without_a_problem_is_an_internal_one() {
+        assert_eq!(plain(StatusCode::BAD_GATEWAY, "GET", "/v1/jobs"), internal());
+        assert_eq!(plain(StatusCode::IM_A_TEAPOT, "GET", "/v1/jobs").status, 418);
+    }
+
+    #[test]
+    fn faults_of_the_store_that_a_client_can_do_something_about_are_not_internal() {
+        let full = || io::Error::from(io::ErrorKind::StorageFull);
+        let bucket =
+            object_store::Error::Generic { store: "S3", source: Box::new(io::Error::other("silent")) };
+        let scene = DatasetId(uuid::Uuid::from_u128(1));
+        let index = BlobError::Index(StoreError::Database(sqlx::Error::PoolTimedOut));
+        for (fault, expected) in [
+            (ProblemResponse::from(StoreError::NoDataset(scene)), ProblemType::SceneNotFound),
+            (BlobError::TooLarge { limit: 17 }.into(), ProblemType::BodyTooLarge),
+            (index.into(), ProblemType::Busy),
+            (BlobError::Bucket(bucket).into(), ProblemType::Busy),
+            (BlobError::Io(full()).into(), ProblemType::StorageFull),
+            (BlobError::Io(io::Error::other("damaged")).into(), ProblemType::Internal),
+        ] {
+            let Problem { kind, detail, .. } = fault.into_problem();
+            assert_eq!(kind, Problem::new(expected, "").kind, "{detail}");
+        }
+    }
+}
