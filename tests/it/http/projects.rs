@@ -295,8 +295,17 @@ pub(super) async fn usage_is_shown_by_project(coverage: Coverage) {
     assert_eq!((&own["jobs"]["queued"], &own["jobs"]["running"]), (&json!(1), &json!(1)));
     assert_eq!(own["worker_seconds"], 20.0, "what runs counts up to now");
     server.store.finish(&lease, Outcome::Released).await.expect("ended");
+    let begun = server.send("POST", "/v1/uploads", |request| {
+        request.bearer_auth(&mine.key).header("tus-resumable", "1.0.0").header("upload-length", 5)
+    });
+    begun.await.expect(201);
     let after = get(&mine, &format!("?project_id={}", mine.project)).await.expect(200).json();
     assert_eq!(after["projects"][0]["worker_seconds"], 20.0);
+    assert_eq!(
+        after["projects"][0]["bytes"],
+        json!({ "total": 12, "datasets": 7, "artifacts": 0, "exports": 0, "uploads": 5 }),
+        "what is promised to an upload is used"
+    );
     let nothing = get(&other, "").await.expect(200).json();
     assert_eq!(nothing["projects"][0]["bytes"]["total"], 0);
     get(&other, &format!("?project_id={}", mine.project)).await.expect_problem(404, "project-not-found");
@@ -464,4 +473,17 @@ async fn what_an_administrator_made_for_another_project_is_not_shown_to_a_key_of
     once(&admin).await.expect(201);
     assert_eq!(once(&admin).await.expect(201).header("idempotency-replayed"), "true");
     once(&beside).await.expect_problem(404, "job-not-found");
+
+    let begun = server.send("POST", "/v1/uploads", |request| {
+        request.bearer_auth(&owner.key).header("tus-resumable", "1.0.0").header("upload-length", 0)
+    });
+    let upload = begun.await.expect(201).header("location").to_owned();
+    let body = json!({ "upload_id": upload.rsplit('/').next() });
+    let once = async |key: &TestKey| {
+        let fill = |request: reqwest::RequestBuilder| request.bearer_auth(&key.key).json(&body);
+        server.send("POST", "/v1/scenes", |request| fill(request).header("idempotency-key", "a scene")).await
+    };
+    once(&admin).await.expect(201);
+    assert_eq!(once(&admin).await.expect(201).header("idempotency-replayed"), "true");
+    once(&beside).await.expect_problem(404, "scene-not-found");
 }

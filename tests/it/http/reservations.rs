@@ -276,8 +276,8 @@ async fn a_project_that_sends_slowly_leaves_places_to_the_others() {
     post(&server, "/v1/jobs", &other, Framing::Length, dataset(2, 300)).await.expect(201);
 }
 
-#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_dataset_whose_client_has_gone_is_not_checked_any_more() {
+/// A check of datasets that waits at a gate, and how many have begun.
+fn gated_check() -> (DatasetCheck, Arc<Gate>, Arc<AtomicUsize>) {
     let (gate, begun) = (Arc::new(Gate::default()), Arc::new(AtomicUsize::new(0)));
     let check: DatasetCheck = {
         let (gate, begun) = (Arc::clone(&gate), Arc::clone(&begun));
@@ -287,6 +287,35 @@ async fn a_dataset_whose_client_has_gone_is_not_checked_any_more() {
             fakes::check(dataset)
         })
     };
+    (check, gate, begun)
+}
+
+/// A body of unknown length reserves more than it brings.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn what_a_body_did_not_need_of_its_room_is_free_while_it_is_checked() {
+    let (check, gate, _) = gated_check();
+    let server = Server::start_with(&Coverage::default(), Setup { check, ..idle() }).await;
+    let limits = ProjectLimits { quota_bytes: Some(8 << 20), ..ProjectLimits::default() };
+    let key = server.key_with(&Scope::ALL[..3], limits).await;
+    let (first, ()) =
+        tokio::join!(post(&server, "/v1/jobs", &key, Framing::Chunked, dataset(1, 1000)), async {
+            gate.someone_waits().await;
+            let begin = server.send("POST", "/v1/uploads", |request| {
+                request
+                    .bearer_auth(&key.key)
+                    .header("tus-resumable", "1.0.0")
+                    .header("upload-length", 7 << 20)
+            });
+            let begun = begin.await;
+            gate.open();
+            begun.expect(201);
+        });
+    first.expect(201);
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_dataset_whose_client_has_gone_is_not_checked_any_more() {
+    let (check, gate, begun) = gated_check();
     let limits = RequestLimits { checks: 1, ..Setup::default().limits };
     let server = Server::start_with(&Coverage::default(), Setup { limits, check, ..idle() }).await;
     let active = async |requests: usize| {

@@ -10,6 +10,7 @@ use uuid::Uuid;
 use super::connections::tight_limits;
 use crate::support::{
     contract::Coverage,
+    eventually::within,
     server::{Answer, Server, Setup},
 };
 
@@ -45,6 +46,8 @@ pub(super) async fn a_dataset_is_kept_once_and_found_again(coverage: Coverage) {
     let same = server.send("GET", &path, |request| request.header("if-none-match", &etag)).await;
     same.expect(304);
     assert_eq!(server.get("/v1/scenes").await.expect(200).json()["scenes"], json!([body]));
+    let longest = format!("?name={}", "x".repeat(200));
+    keep(&server, &longest, "succeed with the longest name").await.expect(201);
 }
 
 pub(super) async fn what_cannot_be_a_scene_is_refused_before_there_is_one(coverage: Coverage) {
@@ -57,6 +60,8 @@ pub(super) async fn what_cannot_be_a_scene_is_refused_before_there_is_one(covera
     }
     let long = "x".repeat(201);
     keep(&server, &format!("?name={long}"), "succeed").await.expect_problem(422, "invalid-parameter");
+    let mixed = server.post_json("/v1/scenes?name=x", &json!({ "upload_id": "7" })).await;
+    mixed.expect_problem(422, "invalid-parameter");
     let text = server.send("POST", "/v1/scenes", |request| request.header("content-type", "text/plain"));
     text.await.expect_problem(415, "unsupported-media-type");
     for (body, status, kind) in [
@@ -114,8 +119,18 @@ pub(super) async fn a_scene_sent_twice_with_one_key_is_made_once(coverage: Cover
     let second = send("succeed").await.expect(201);
     assert_eq!((second.header("idempotency-replayed"), second.json()), ("true", first.json()));
     send("succeed other").await.expect_problem(422, "idempotency-key-reused");
+    let known = async || {
+        let sent = server.send("POST", "/v1/scenes", |request| {
+            request.header("content-type", "application/zip").header("idempotency-key", "k2").body("succeed")
+        });
+        sent.await.expect(200)
+    };
+    assert!(!known().await.headers.contains_key("idempotency-replayed"), "the project had the scene");
+    assert_eq!(known().await.header("idempotency-replayed"), "true", "with the status of then");
     let path = first.header("location").to_owned();
     server.send("DELETE", &path, |request| request).await.expect(204);
+    let requested = server.services.blobs.collection_requested();
+    within("its dataset is collected at once", requested).await;
     let detail = send("succeed").await.expect_problem(404, "scene-not-found");
     assert!(detail.contains("deleted"), "{detail}");
 }

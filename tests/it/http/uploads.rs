@@ -24,6 +24,7 @@ use super::connections::tight_limits;
 use crate::support::{
     contract::Coverage,
     eventually::{eventually, within},
+    faults::Failing,
     server::{Answer, Server, Setup},
 };
 
@@ -171,6 +172,46 @@ pub(super) async fn a_dataset_comes_in_parts_and_becomes_a_scene(coverage: Cover
     server.send("HEAD", &bad, tus).await.expect(404);
     server.send("DELETE", &bad, tus).await.expect(404);
     part(&server, &bad, 3, b"").await.expect_problem(404, "upload-not-found");
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_scene_of_an_upload_has_the_name_of_the_request_or_else_of_the_metadata() {
+    let server = Server::start_with(&Coverage::default(), idle()).await;
+    let coded = |text: &str| STANDARD.encode(text);
+    let both = format!("filename {},name {}", coded("garden.zip"), coded("Garden"));
+    for (number, (metadata, wanted, expected)) in [
+        (both.clone(), None, json!("Garden")),
+        (both, Some("Hall"), json!("Hall")),
+        (format!("name {}", coded("a\u{7}b")), None, json!(null)),
+        (format!("name {}", coded(&"x".repeat(201))), None, json!(null)),
+    ]
+    .into_iter()
+    .enumerate()
+    {
+        let content = format!("succeed {number}");
+        let begun = server.send("POST", "/v1/uploads", |request| {
+            tus(request).header("upload-length", content.len()).header("upload-metadata", &metadata)
+        });
+        let upload = begun.await.expect(201).header("location").to_owned();
+        part(&server, &upload, 0, content.as_bytes()).await.expect(204);
+        let mut body = json!({ "upload_id": upload.rsplit('/').next() });
+        if let Some(name) = wanted {
+            body["name"] = json!(name);
+        }
+        let scene = server.post_json("/v1/scenes", &body).await.expect(201).json();
+        assert_eq!(scene["name"], expected, "{metadata} {wanted:?}");
+    }
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn an_upload_stays_until_its_scene_is_recorded() {
+    let server = Server::start_with(&Coverage::default(), idle()).await;
+    let upload = begin(&server, 9).await;
+    part(&server, &upload, 0, b"succeed 9").await.expect(204);
+    server.store.set(Some(Failing::Late));
+    make_scene(&server, &upload).await.expect_problem(503, "busy");
+    server.store.set(None);
+    make_scene(&server, &upload).await.expect(201);
 }
 
 pub(super) async fn headers_that_make_no_sense_are_named(coverage: Coverage) {
