@@ -183,6 +183,12 @@ mod tests {
             assert_eq!(object.options, query.options);
             assert_eq!((object.priority, object.deadline_s), (query.priority, query.deadline_s));
         }
+        let absent = read(json!({ "deadline_s": null, "name": null, "metadata": null })).expect("possible");
+        assert_eq!((absent.deadline_s, absent.name), (None, None));
+        assert_eq!(absent.metadata, Metadata::default());
+        let largest =
+            read(json!({ "priority": MAX_PRIORITY, "deadline_s": MAX_DEADLINE })).expect("possible");
+        assert_eq!((largest.priority, largest.deadline_s), (MAX_PRIORITY, Some(MAX_DEADLINE)));
     }
 
     #[test]
@@ -232,6 +238,7 @@ mod tests {
             (json!({ "priority": "high" }), "priority"),
             (json!({ "deadline_s": 0 }), "deadline_s"),
             (json!({ "deadline_s": 1e12 }), "deadline_s"),
+            (json!({ "deadline_s": MAX_DEADLINE + 1 }), "deadline_s"),
         ] {
             let fault = read(fields.clone()).expect_err("impossible");
             assert!(fault.contains(&format!("{named}:")), "{fields}: {fault}");

@@ -68,10 +68,14 @@ mod tests {
             accepts(&headers, "application/json")
         };
         assert!(accepts(&HeaderMap::new(), "application/json"));
-        for yes in ["*/*", "application/*", "text/html, application/json;q=0.1", "Application/JSON", ""] {
+        for yes in
+            ["*/*", "application/*", "text/html, application/json;q=0.1", "Application/JSON", "", "*/*;q=nan"]
+        {
             assert!(accept(yes), "{yes}");
         }
-        for no in ["text/event-stream", "text/*", "application/json;q=0", "*/*, application/json; q=0.0"] {
+        for no in
+            ["text/event-stream", "text/*", "application/json;q=0", "*/*, application/json; q=0.0", "*/*;Q=0"]
+        {
             assert!(!accept(no), "{no}");
         }
     }

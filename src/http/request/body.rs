@@ -198,3 +198,83 @@ impl<'a> Pieces<'a> {
         ))
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use axum::body::Body;
+    use futures_util::stream;
+
+    use super::*;
+    use crate::domain::Problem;
+
+    #[derive(Debug, Deserialize)]
+    struct Pair {
+        #[expect(dead_code, reason = "only read")]
+        first: u32,
+    }
+
+    impl JsonBody for Pair {
+        const EXPECTED: &'static str = "a pair";
+    }
+
+    #[test]
+    fn a_media_type_is_known_with_parameters_and_in_any_case() {
+        let with = |value: &'static str| {
+            let headers = HeaderMap::from_iter([(header::CONTENT_TYPE, value.parse().expect("a value"))]);
+            expect_media_type(&headers, &["application/json"]).is_ok()
+        };
+        for json in ["application/json", "Application/JSON; charset=UTF-8", "application/json;charset=utf-8"]
+        {
+            assert!(with(json), "{json}");
+        }
+        assert!(!with("application/json+ld") && !with("text/plain; application/json"));
+    }
+
+    #[test]
+    fn an_array_is_no_object_and_half_of_one_is_no_json() {
+        for (content, expected) in [
+            ("[1]", ProblemType::InvalidParameter),
+            (" \n[1]", ProblemType::InvalidParameter),
+            ("[1", ProblemType::MalformedJson),
+            ("{\"first\": -1}", ProblemType::InvalidParameter),
+        ] {
+            let fault = parse_json::<Pair>(content.as_bytes()).expect_err("no pair").into_problem();
+            assert_eq!(fault.kind, Problem::new(expected, "").kind, "{content}");
+        }
+        parse_json::<Pair>(b" {\"first\": 1}").expect("a pair");
+    }
+
+    #[test]
+    fn a_long_body_is_given_up_only_while_it_is_slower_than_the_rate() {
+        let limits = RequestLimits {
+            body_idle_timeout: Duration::from_secs(60),
+            min_body_rate: 100,
+            ..RequestLimits::default()
+        };
+        let mut body = Body::empty().into_data_stream();
+        let mut dribbles = |lasted: u64, received: u64| {
+            let mut pieces = Pieces::new(&mut body, &limits);
+            pieces.begun = Instant::now().checked_sub(Duration::from_secs(lasted)).expect("an instant");
+            pieces.received = received;
+            pieces.dribbles()
+        };
+        assert!(!dribbles(30, 0), "a pause is allowed");
+        assert!(!dribbles(600, 1 << 20));
+        assert!(dribbles(600, 50_000));
+    }
+
+    #[tokio::test]
+    async fn a_whole_body_has_a_time_too() {
+        let limits = RequestLimits {
+            body_idle_timeout: Duration::from_secs(3600),
+            body_timeout: Duration::from_millis(20),
+            ..RequestLimits::default()
+        };
+        let mut body =
+            Body::from_stream(stream::pending::<Result<Bytes, std::io::Error>>()).into_data_stream();
+        let mut pieces = Pieces::new(&mut body, &limits);
+        let fault = timeout(Duration::from_secs(60), pieces.next()).await.expect("given up");
+        let fault = fault.expect_err("too slow").into_problem();
+        assert_eq!(fault.kind, Problem::new(ProblemType::BodyTimeout, "").kind);
+    }
+}

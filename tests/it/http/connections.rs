@@ -97,6 +97,31 @@ pub(super) async fn bodies_that_break_off_or_dawdle_are_given_up(coverage: Cover
     server.upload("", "succeed").await.expect(201);
 }
 
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_body_in_json_has_its_bound_whether_its_length_is_announced_or_not() {
+    let server = Server::start_with(
+        &Coverage::default(),
+        Setup { limits: tight_limits(), worker: false, ..Setup::default() },
+    )
+    .await;
+    for (length, status) in [(100, 201), (101, 413)] {
+        for is_announced in [true, false] {
+            let mut text = r#"{"url": "https://example.com/"}"#.to_owned();
+            text.push_str(&" ".repeat(length - text.len()));
+            let pieces: Vec<_> =
+                text.as_bytes().chunks(40).map(|piece| Ok::<_, std::io::Error>(piece.to_vec())).collect();
+            let body = match is_announced {
+                true => reqwest::Body::from(text),
+                false => reqwest::Body::wrap_stream(futures_util::stream::iter(pieces)),
+            };
+            let sent = server.send("POST", "/v1/webhook-endpoints", |request| {
+                request.header("content-type", "application/json").body(body)
+            });
+            assert_eq!(sent.await.status, status, "{length} bytes, announced: {is_announced}");
+        }
+    }
+}
+
 #[tokio::test]
 async fn a_connection_that_dawdles_over_its_headers_is_closed() {
     let setup = Setup { header_timeout: Duration::from_millis(50), ..Setup::default() };
@@ -326,6 +351,24 @@ async fn one_address_cannot_take_every_place() {
     first.write_all(b"alhost\r\nConnection: close\r\n\r\n").await.expect("sent");
     first.read_to_end(&mut answer).await.expect("an end");
     assert_eq!(check_raw(&server, "GET", "/healthz", &answer), 200, "the first has its place");
+    drop(first);
+    let mut metrics = String::new();
+    eventually("the place is free again", async || {
+        let mut stream = TcpStream::connect(server.address).await.expect("the system connects");
+        let mut answer = Vec::new();
+        let asked = async {
+            stream
+                .write_all(b"GET /metrics HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n")
+                .await?;
+            stream.read_to_end(&mut answer).await
+        };
+        let is_answered = asked.await.is_ok_and(|bytes| bytes > 0);
+        metrics = String::from_utf8_lossy(&answer).into_owned();
+        is_answered
+    })
+    .await;
+    let refused = metrics.lines().find_map(|line| line.strip_prefix("http_connections_refused_total "));
+    assert!(refused.is_some_and(|count| count != "0"), "{metrics}");
 }
 
 #[tokio::test]
