@@ -1,15 +1,17 @@
 //! Repeated requests, and responses that wait.
 
 use serde_json::json;
+use tcgs::domain::Scope;
 use tokio::{
     io::{AsyncBufReadExt as _, AsyncReadExt as _, AsyncWriteExt as _, BufReader},
     net::TcpStream,
 };
 
+use super::reservations::gated_check;
 use crate::support::{
     contract::Coverage,
     eventually::eventually,
-    server::{Answer, Server, Setup},
+    server::{Answer, Server, Setup, TestKey},
 };
 
 async fn create(server: &Server, key: &str, query: &str, dataset: &'static str) -> Answer {
@@ -41,6 +43,46 @@ pub(super) async fn a_request_that_is_sent_again_makes_nothing_again(coverage: C
     }
     create(&server, "two", "?seed=1", "succeed").await.expect(201);
     assert_eq!(jobs(&server).await, 2);
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_key_is_its_projects_and_stands_for_one_path() {
+    let server = Server::start_with(&Coverage::default(), Setup { worker: false, ..Setup::default() }).await;
+    let scopes = [Scope::Read, Scope::ScenesWrite, Scope::JobsWrite];
+    let [one, other] = [server.key(&scopes).await, server.key(&scopes).await];
+    let send = async |path: &str, key: &TestKey| {
+        let sent = server.send("POST", path, |request| {
+            let request = request.bearer_auth(&key.key).header("content-type", "application/zip");
+            request.header("idempotency-key", "one").body("succeed")
+        });
+        sent.await
+    };
+    for key in [&one, &other] {
+        let made = send("/v1/jobs", key).await.expect(201);
+        assert!(!made.headers.contains_key("idempotency-replayed"), "another project's key is another");
+        assert_eq!(made.json()["project_id"], key.project.to_string());
+    }
+    send("/v1/scenes", &one).await.expect_problem(422, "idempotency-key-reused");
+}
+
+/// Two servers of one database do not see each other's requests in flight.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn of_two_servers_that_get_one_request_one_makes_the_job_and_the_other_shows_it() {
+    let (check, gate, _) = gated_check();
+    let coverage = Coverage::default();
+    let slow = Server::start_with(&coverage, Setup { check, worker: false, ..Setup::default() }).await;
+    let quick = Setup { worker: false, ..Setup::default() };
+    let quick = Server::start_in(&coverage, quick, std::sync::Arc::clone(&slow.data)).await;
+    let (late, first) = tokio::join!(create(&slow, "one", "", "succeed"), async {
+        gate.someone_waits().await;
+        let first = create(&quick, "one", "", "succeed").await;
+        gate.open();
+        first.expect(201)
+    });
+    let late = late.expect(201);
+    assert_eq!(late.header("idempotency-replayed"), "true");
+    assert_eq!(late.header("location"), first.header("location"));
+    assert_eq!(jobs(&slow).await, 1);
 }
 
 pub(super) async fn what_was_refused_is_not_remembered(coverage: Coverage) {

@@ -277,7 +277,7 @@ async fn a_project_that_sends_slowly_leaves_places_to_the_others() {
 }
 
 /// A check of datasets that waits at a gate, and how many have begun.
-fn gated_check() -> (DatasetCheck, Arc<Gate>, Arc<AtomicUsize>) {
+pub(super) fn gated_check() -> (DatasetCheck, Arc<Gate>, Arc<AtomicUsize>) {
     let (gate, begun) = (Arc::new(Gate::default()), Arc::new(AtomicUsize::new(0)));
     let check: DatasetCheck = {
         let (gate, begun) = (Arc::clone(&gate), Arc::clone(&begun));
