@@ -194,6 +194,15 @@ mod tests {
     }
 
     #[tokio::test]
+    async fn what_has_been_seen_does_not_end_the_wait() {
+        let (_folder, store, watcher, id) = with_job().await;
+        let mut wait = Box::pin(watcher.changed(id, 1));
+        assert!(timeout(Duration::from_millis(50), &mut wait).await.is_err(), "nothing has happened since");
+        store.cancel(id).await.expect("cancelled");
+        assert_eq!(timeout(LONG, wait).await.expect("soon"), Some(2));
+    }
+
+    #[tokio::test]
     async fn a_job_that_is_not_there_ends_the_wait() {
         let (_folder, _store, watcher, _) = with_job().await;
         let unknown = JobId(Uuid::from_u128(2));

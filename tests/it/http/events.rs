@@ -118,12 +118,32 @@ pub(super) async fn there_are_only_so_many_streams(coverage: Coverage) {
     let ask = || server.send("GET", &events, |request| request.header("accept", "text/event-stream"));
     let refused = ask().await;
     refused.header("retry-after").parse::<u32>().expect("seconds");
-    assert!(refused.expect_problem(429, "too-many-streams").contains("2 streams"));
+    assert!(refused.expect_problem(429, "too-many-streams").starts_with("2 streams of yours are open"));
     server.get(&events).await.expect(200);
     drop(first);
     // The place is free once the server has noticed.
     let is_free = async || server.stream(&events, None).await.response().status() != 429;
     eventually("the place is free", is_free).await;
+
+    let limits = RequestLimits { event_streams: 1, event_streams_per_key: 2, ..Default::default() };
+    let server = Server::start_with(&coverage, no_worker(limits)).await;
+    let events = format!("{}/events", server.create("succeed").await);
+    let _only = server.stream(&events, None).await;
+    let refused = server.send("GET", &events, |request| request.header("accept", "text/event-stream")).await;
+    assert!(refused.expect_problem(429, "too-many-streams").starts_with("1 streams in all are open"));
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn every_kind_of_event_has_its_name_in_a_stream() {
+    let server = Server::start(&Coverage::default()).await;
+    let job = server.create("retry").await;
+    server.reaches(&job, "failed").await;
+    let all = to_the_end(server.stream(&format!("{job}/events"), None).await).await;
+    let mut kinds: Vec<&str> = all.iter().map(|frame| &*frame.event).collect();
+    assert!(all.iter().all(|frame| frame.json()["kind"] == *frame.event), "{kinds:?}");
+    kinds.sort_unstable();
+    kinds.dedup();
+    assert_eq!(kinds, ["attempt", "phase", "progress", "state"]);
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]

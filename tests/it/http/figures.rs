@@ -1,7 +1,10 @@
 //! Metrics of known jobs and pictures, as operators read them.
 
+use std::sync::Arc;
+
+use jiff::SignedDuration;
 use tcgs::{
-    domain::{JobMetrics, PhaseSeconds},
+    domain::{JobMetrics, ManualClock, PhaseSeconds},
     http::config::RequestLimits,
     store::{Outcome, Store as _},
 };
@@ -64,4 +67,15 @@ async fn pictures_in_the_line_for_the_renderer_are_counted() {
         answer.expect(200);
     }
     eventually("an empty line again", async || depth(0, 0).await).await;
+}
+
+#[tokio::test]
+async fn a_job_that_a_database_ahead_has_queued_in_the_future_has_no_age() {
+    let clock = Arc::new(ManualClock::new("2026-11-21T12:00:00Z".parse().expect("an instant")));
+    let setup = Setup { worker: false, clock: clock.clone(), ..Setup::default() };
+    let server = Server::start_with(&Coverage::default(), setup).await;
+    server.create("succeed").await;
+    clock.set_by(SignedDuration::from_secs(-5));
+    let text = metrics(&server).await;
+    assert!(text.contains("\ntcgs_oldest_queued_job_age_seconds 0.0\n"), "{text}");
 }

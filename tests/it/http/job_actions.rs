@@ -4,8 +4,8 @@ use std::sync::{Arc, Mutex};
 
 use serde_json::{Value, json};
 use tcgs::{
-    domain::{DatasetId, DatasetSummary, Layout, ProjectId},
-    store::{Datasets as _, NewDataset},
+    domain::{DatasetId, DatasetSummary, Layout, Problem, ProblemType, ProjectId},
+    store::{Datasets as _, NewDataset, Outcome, Store as _},
 };
 use uuid::Uuid;
 
@@ -137,6 +137,60 @@ pub(super) async fn jobs_are_listed_by_state_scene_and_model(coverage: Coverage)
     {
         let detail = server.get(&format!("/v1/jobs{query}")).await.expect_problem(422, "invalid-parameter");
         assert!(detail.starts_with(named), "{detail}");
+    }
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn every_filter_of_a_list_is_in_the_path_of_its_next_page() {
+    let server = Server::start_with(&Coverage::default(), Setup { worker: false, ..Setup::default() }).await;
+    let scene = scene(&server, "succeed").await;
+    let body = json!({ "scene_id": scene, "name": "a&b", "metadata": { "site": "north" }, "model": "3dgs" });
+    for _ in 0..2 {
+        server.post_json("/v1/jobs", &body).await.expect(201);
+    }
+    let filters = [
+        ("project_id", ProjectId::DEFAULT.to_string()),
+        ("state", "queued,running".to_owned()),
+        ("scene_id", scene.to_string()),
+        ("model", "3dgs".to_owned()),
+        ("name", "a&b".to_owned()),
+        ("created_from", "2000-01-01T00:00:00Z".to_owned()),
+        ("created_before", "2100-01-01T00:00:00Z".to_owned()),
+        ("metadata[site]", "north".to_owned()),
+    ];
+    let query = serde_urlencoded::to_string(&filters).expect("a query");
+    let page = server.get(&format!("/v1/jobs?{query}&limit=1")).await.expect(200).json();
+    let next = page["next"].as_str().expect("a second page").to_owned();
+    let pairs: Vec<(String, String)> =
+        serde_urlencoded::from_str(next.split_once('?').expect("a query").1).expect("pairs");
+    for (name, value) in filters {
+        assert!(pairs.contains(&(name.to_owned(), value)), "{name} is not in {next}");
+    }
+    let second = server.get(&next).await.expect(200).json();
+    assert_eq!((second["jobs"].as_array().map(Vec::len), &second["next"]), (Some(1), &Value::Null));
+    // A filter that was not given is not in it either.
+    let page = server.get("/v1/jobs?limit=1").await.expect(200).json();
+    assert!(page["next"].as_str().expect("a second page").starts_with("/v1/jobs?limit=1&cursor="), "{page}");
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_retry_resumes_from_the_checkpoint_unless_it_is_told_not_to() {
+    let server = Server::start_with(&Coverage::default(), Setup { worker: false, ..Setup::default() }).await;
+    let mut path = server.create("succeed").await;
+    for (body, resumes) in [
+        (json!({}), true),
+        (json!({ "from_checkpoint": false }), false),
+        (json!({ "from_checkpoint": true }), true),
+        (json!({ "from_checkpoint": null }), true),
+    ] {
+        let lease = server.store.claim("test").await.expect("an answer").expect("a job").lease;
+        let lost = Problem::new(ProblemType::DeviceLost, "as the test wants it");
+        server.store.finish(&lease, Outcome::Failed(lost)).await.expect("ended");
+        let again = server.post_json(&format!("{path}/retry"), &body).await.expect(201);
+        path = again.header("location").to_owned();
+        let claim = server.store.claim("test").await.expect("an answer").expect("the retry");
+        assert_eq!(claim.resume_from, resumes.then_some(lease.job), "{body}");
+        server.store.finish(&claim.lease, Outcome::Released).await.expect("ended");
     }
 }
 

@@ -174,5 +174,6 @@ pub(super) async fn a_queued_job_is_cancelled_at_once_and_a_running_one_soon(cov
 pub(super) async fn too_many_uploads_at_once_are_put_off(coverage: Coverage) {
     let limits = tcgs::http::config::RequestLimits { uploads: 0, ..Default::default() };
     let server = Server::start_with(&coverage, Setup { limits, ..Setup::default() }).await;
-    server.upload("", "succeed").await.expect_problem(503, "busy");
+    let detail = server.upload("", "succeed").await.expect_problem(503, "busy");
+    assert!(detail.starts_with("too many datasets are being received"), "{detail}");
 }

@@ -451,8 +451,14 @@ pub(super) async fn what_an_administrator_makes_of_a_projects_things_is_the_proj
     let id = scene.rsplit('/').next().expect("an id");
     let job = with(&server, &admin, "POST", "/v1/jobs", Some(json!({ "scene_id": id }))).await;
     let job = job.expect(201).header("location").to_owned();
-    for made in [scene, job] {
-        with(&server, &owner, "GET", &made, None).await.expect(200);
+    for made in [&scene, &job] {
+        with(&server, &owner, "GET", made, None).await.expect(200);
+    }
+    job_of(&server, &admin, "", "succeed").await.expect(201);
+    for (project, count) in [(owner.project, 1), (admin.project, 1), (ProjectId::DEFAULT, 0)] {
+        let list = format!("/v1/jobs?project_id={project}");
+        let list = with(&server, &admin, "GET", &list, None).await.expect(200).json();
+        assert_eq!(ids(&list, "jobs").len(), count, "{list}");
     }
 }
 

@@ -146,6 +146,7 @@ pub(super) async fn scenes_are_listed_newest_first_page_by_page(coverage: Covera
     let (mut listed, mut pages) = (Vec::new(), 0);
     while let Some(path) = next {
         let page = server.get(&path).await.expect(200);
+        assert_eq!(page.header("cache-control"), "no-store");
         let body = page.json();
         listed.extend(body["scenes"].as_array().expect("scenes").clone());
         next = body["next"].as_str().map(str::to_owned);
