@@ -91,6 +91,10 @@ mod tests {
             let orbit = Orbit::of(&cameras).expect("cameras");
             assert!((orbit.center - orbit.position).dot(ahead) > 0.5, "{orbit:?}");
         }
+        // Axes that meet only a hundred times as far away as the cameras stand apart are as good as parallel.
+        let nearly = |y: f64| camera(DVec3::new(0.0, y, 0.0), DVec3::new(100.0, 0.5, 0.0), Split::Train);
+        let orbit = Orbit::of(&[nearly(0.0), nearly(1.0)]).expect("cameras");
+        assert!((orbit.center.distance(orbit.position) - 1.0).abs() < 0.1, "{orbit:?}");
         assert_eq!(Orbit::of(&[]), None);
     }
 }

@@ -126,6 +126,12 @@ mod tests {
         let nudged = Pose::look_at(DVec3::new(4.0, 1e-15, 0.0), DVec3::ZERO, DVec3::Z).expect("a view");
         let same = FrameSpec { camera: Camera { pose: nudged, ..frame.camera }, ..frame };
         assert_eq!(ViewKey::new("renderer", &same), key);
+        // Of large numbers, rounding errors are larger too.
+        let far = |y: f64| {
+            let pose = Pose::look_at(DVec3::new(4e6, y, 0.0), DVec3::ZERO, DVec3::Z).expect("a view");
+            ViewKey::new("renderer", &FrameSpec { camera: Camera { pose, ..frame.camera }, ..frame })
+        };
+        assert_eq!(far(0.0), far(1e-9));
     }
 
     #[test]

@@ -110,9 +110,18 @@ pub(super) async fn a_finished_job_is_reported_on_one_page(coverage: Coverage) {
     assert_eq!((count("script"), count("style"), count("html")), (1, 1, 1));
     assert_eq!(count("input"), 0, "the page asks nobody for a key: the browser has it");
     assert_eq!(count("img"), 4, "three pictures of the held-out view and the viewer's first");
-    for said in
-        ["30.00 dB", "Where the bytes went", "Curves", "λ", "fake", &*Digest::of(fakes::FILE).to_string()]
-    {
+    for said in [
+        "30.00 dB",
+        "Where the bytes went",
+        "Curves",
+        "PSNR against time",
+        "SSIM against time",
+        "Course",
+        "steps a second",
+        "λ",
+        "fake",
+        &*Digest::of(fakes::FILE).to_string(),
+    ] {
         let said = if said == "λ" { "held-out views" } else { said };
         assert!(page.contains(said), "'{said}' is missing");
     }

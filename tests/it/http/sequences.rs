@@ -4,11 +4,15 @@ use std::time::Duration;
 
 use image::AnimationDecoder as _;
 use serde_json::{Value, json};
-use tcgs::{domain::Scope, http::config::RequestLimits};
+use tcgs::{
+    domain::{Convention, Orbit, Scope},
+    http::config::RequestLimits,
+};
 
 use crate::support::{
     contract::Coverage,
     eventually::{eventually, within},
+    fakes,
     server::{Server, Setup, picture as picture_of},
 };
 
@@ -70,6 +74,29 @@ pub(super) async fn an_orbit_is_streamed_part_by_part_as_often_as_asked(coverage
     let (head, depth) = one("output=depth").await;
     assert!(head.contains("Content-Type: image/png\r\n") && head.contains("X-Depth-Scale: 0.000"), "{head}");
     assert!(matches!(picture_of(&depth), image::DynamicImage::ImageLuma16(_)));
+}
+
+/// The cameras of the dataset look past the middle of their pictures.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn an_orbit_has_what_it_goes_around_in_the_middle_of_each_picture() {
+    let server = Server::start(&Coverage::default()).await;
+    let job = server.succeeded().await;
+    let stream = server.get(&format!("{job}/stream?frames=1&format=png")).await.expect(200);
+    let shown = parts(&stream.body, stream.header("content-type")).remove(0).1;
+    let camera = fakes::cameras()[0].camera;
+    let pose = Orbit::around(&[camera]).expect("an orbit").pose(0.0).expect("a view");
+    let matrix = pose.camera_to_world(Convention::Opencv);
+    let rows: Vec<[f64; 4]> = (0..4).map(|row| matrix.row(row).to_array()).collect();
+    let view = json!({ "camera_to_world": rows, "convention": "opencv", "fx": 50, "fy": 55, "width": 40, "height": 32 });
+    let centred = |cx: f64, cy: f64| {
+        let mut view = view.clone();
+        (view["cx"], view["cy"]) = (json!(cx), json!(cy));
+        json!({ "views": [view] })
+    };
+    let view = server.post_json(&format!("{job}/views"), &centred(20.0, 16.0)).await.expect(200);
+    assert_eq!(view.body, shown);
+    let view = server.post_json(&format!("{job}/views"), &centred(21.0, 15.5)).await.expect(200);
+    assert_ne!(view.body, shown);
 }
 
 pub(super) async fn a_path_is_animated_through_its_views(coverage: Coverage) {
