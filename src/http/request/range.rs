@@ -46,6 +46,7 @@ mod tests {
     fn the_standard_s_examples() {
         for (header, expected) in [
             ("bytes=0-499", ByteRange::Part(0..500)),
+            ("bytes=7-7", ByteRange::Part(7..8)),
             ("bytes=9500-", ByteRange::Part(9500..10000)),
             ("bytes=-500", ByteRange::Part(9500..10000)),
             ("bytes=-20000", ByteRange::Part(0..10000)),

@@ -194,6 +194,10 @@ mod tests {
                 &[("forwarded", "by=1.2.3.4;For=203.0.113.9;host=\"a,b;for=9.9.9.9\"")],
                 "203.0.113.9",
             ),
+            // A quote that is escaped ends no text, one behind an escaped backslash does, and outside of texts nothing is escaped.
+            ("10.0.0.1", &[("forwarded", r#"for=203.0.113.9;host="a\",for=9.9.9.9;""#)], "203.0.113.9"),
+            ("10.0.0.1", &[("forwarded", r#"host="a\\",for=203.0.113.9"#)], "203.0.113.9"),
+            ("10.0.0.1", &[("forwarded", r#"host=a\"b,for=203.0.113.9""#)], "10.0.0.1"),
             ("10.0.0.1", &[("forwarded", "for=203.0.113.9, for=_hidden")], "10.0.0.1"),
             ("10.0.0.1", &[("forwarded", "for=203.0.113.9, proto=https")], "10.0.0.1"),
             ("10.0.0.1", &[("forwarded", "for=203.0.113.9"), xff("203.0.113.9")], "203.0.113.9"),
