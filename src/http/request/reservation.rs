@@ -204,3 +204,89 @@ impl Drop for Reservation {
         self.reservations.lock().release(self.project, self.bytes, unwritten);
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use tempfile::TempDir;
+    use tokio_util::sync::CancellationToken;
+
+    use super::*;
+    use crate::{
+        domain::{Problem, ProblemType, SystemClock, SystemRandom},
+        http::{Services, WorkerCounts, config::RequestLimits},
+        store::{Blobs, QueuePolicy, SqlStore},
+    };
+
+    async fn state() -> (TempDir, AppState) {
+        let folder = tempfile::tempdir().expect("a folder");
+        let clock = Arc::new(SystemClock);
+        let path = folder.path().join("tcgs.db");
+        let store = SqlStore::open(&path, clock.clone(), QueuePolicy::default());
+        let never = || Problem::new(ProblemType::Internal, "not of this test");
+        let services = Services {
+            store: Arc::new(store.await.expect("a database")),
+            blobs: Blobs::open(folder.path()).expect("a blob store"),
+            clock,
+            entropy: Arc::new(SystemRandom),
+            check: Arc::new(move |_| Err(never())),
+            load: Arc::new(move |_| Err(never())),
+            renderer: Arc::new(move |_| Err(never())),
+            export: Arc::new(move |_, _, _| Err(never())),
+            forget: Arc::new(|_| {}),
+            workers: Arc::new(|| WorkerCounts { expected: 0, alive: 0 }),
+            viewers: Arc::new(|| None),
+        };
+        let limits = RequestLimits { min_free_space: 1, ..RequestLimits::default() };
+        (folder, AppState::new(services, limits, CancellationToken::new()))
+    }
+
+    /// Bytes that count against the project's quota, and those that are not on the disk yet.
+    fn held(state: &AppState) -> (u64, u64) {
+        let pending = state.reservations.lock();
+        (pending.by_project.get(&ProjectId::DEFAULT).copied().unwrap_or(0), pending.unwritten)
+    }
+
+    #[tokio::test]
+    async fn what_is_reserved_is_written_or_released_and_nothing_stays() {
+        let (_folder, state) = state().await;
+        let reserve = async |bytes| {
+            Reservations::reserve(&state, ProjectId::DEFAULT, bytes).await.expect("there is room")
+        };
+        let other = reserve(50).await;
+        let mut one = reserve(1000).await;
+        assert_eq!(held(&state), (1050, 1050), "reservations of one project add up");
+        one.wrote(400);
+        assert_eq!(held(&state), (1050, 650), "what is written counts against the quota alone");
+        one.cover(&state, 600).await.expect("reserved");
+        assert_eq!(held(&state), (1050, 650));
+        one.cover(&state, 700).await.expect("there is room");
+        assert_eq!(held(&state), (1050 + STEP, 650 + STEP), "it grows by steps");
+        one.wrote(700);
+        one.settle();
+        assert_eq!(held(&state), (1150, 50));
+        one.cover(&state, 2 * STEP).await.expect("there is room");
+        assert_eq!(held(&state), (1150 + 2 * STEP, 50 + 2 * STEP), "or by what is needed, if that is more");
+        one.wrote(STEP);
+        drop(one);
+        assert_eq!(held(&state), (50, 50));
+        drop(other);
+        let on_disk = Reservations::reserve_disk(&state, 500).await.expect("there is room");
+        assert_eq!(held(&state), (0, 500));
+        drop(on_disk);
+        assert_eq!(held(&state), (0, 0));
+        assert!(state.reservations.lock().by_project.is_empty(), "projects without bytes take no memory");
+    }
+
+    #[tokio::test]
+    async fn bytes_need_room_beside_those_that_are_still_to_be_written() {
+        let pending = Pending { unwritten: 10, ..Pending::default() };
+        assert!(pending.expect_free(30, 20).is_ok());
+        assert!(pending.expect_free(30, 21).is_err());
+        let (_folder, state) = state().await;
+        assert!(require_free_space(&state, 0).is_ok());
+        assert!(require_free_space(&state, u64::MAX).is_err());
+        assert!(Reservations::reserve_disk(&state, u64::MAX).await.is_err());
+    }
+}
