@@ -30,3 +30,29 @@ pub(crate) async fn bounded(request: Request, next: Next) -> Response {
     }
     next.run(request).await
 }
+
+#[cfg(test)]
+mod tests {
+    use axum::{Router, body::Body, middleware::from_fn};
+    use tower::ServiceExt as _;
+
+    use super::*;
+
+    #[tokio::test]
+    async fn the_longest_heads_are_taken_and_one_byte_more_is_not() {
+        let app = Router::new().fallback(|| async {}).layer(from_fn(bounded));
+        // Name, colon, blank and line end.
+        let around = "x-long: \r\n".len();
+        for (uri, headers, status) in [
+            (URI_BYTES, HEADER_BYTES, 200),
+            (URI_BYTES + 1, HEADER_BYTES, 414),
+            (URI_BYTES, HEADER_BYTES + 1, 431),
+        ] {
+            let request = Request::get(format!("/?{}", "q".repeat(uri - 2)));
+            let request = request.header("x-long", "v".repeat(headers - around));
+            let request = request.body(Body::empty()).expect("a request");
+            let answer = app.clone().oneshot(request).await.expect("an answer");
+            assert_eq!(answer.status(), status, "{uri} and {headers} bytes");
+        }
+    }
+}

@@ -268,6 +268,15 @@ async fn a_disk_with_less_room_than_the_floor_makes_the_service_unready() {
 }
 
 #[tokio::test]
+async fn a_database_that_can_be_read_and_not_written_makes_the_service_unready() {
+    let server = Server::start(&Coverage::default()).await;
+    server.store.set(Some(Failing::FullForProbes));
+    let problem = server.get("/readyz").await.expect(503).json();
+    assert_eq!(wrong(&problem), ["database"], "{problem:#}");
+    assert_eq!(problem["checks"]["database"], "no room is left on its disk");
+}
+
+#[tokio::test]
 async fn readiness_fails_before_connections_are_refused() {
     let tune = |config: &mut tcgs::http::HttpConfig| config.drain_notice = Duration::from_secs(3600);
     let server = Server::start_with(&Coverage::default(), Setup { tune, ..Setup::default() }).await;

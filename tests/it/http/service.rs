@@ -134,6 +134,10 @@ async fn request_ids_are_kept_if_fit_and_made_if_not() {
         server.send("GET", "/v1/jobs/17", |request| request.header("x-request-id", "my-id_1.2")).await;
     assert_eq!(given.header("x-request-id"), "my-id_1.2");
     assert_eq!(given.json()["instance"], "my-id_1.2");
+    assert_eq!(given.header("cache-control"), "no-store", "the next problem has another id");
+    let longest = "x".repeat(128);
+    let kept = server.send("GET", "/healthz", |request| request.header("x-request-id", &longest)).await;
+    assert_eq!(kept.header("x-request-id"), longest);
     for unfit in ["", "two words", "<script>", &"x".repeat(129)] {
         let answer = server.send("GET", "/healthz", |request| request.header("x-request-id", unfit)).await;
         assert_eq!(answer.header("x-request-id").len(), 36, "a fresh UUID instead of '{unfit}'");

@@ -39,6 +39,8 @@ pub enum Failing {
     Full,
     /// Like one on a disk with room for small changes only: no attempt can end.
     FullForEnds,
+    /// Like one that answers on a full disk: it can be read, and nothing shows the fault but an attempt to write.
+    FullForProbes,
     /// Like one that does not answer in time: what creates something has failed, and is done once the test says so.
     Late,
     /// Not at all, but a newer program has changed the schema.
@@ -98,7 +100,10 @@ impl FaultStore {
 
     fn guard<'a, T: Send + 'a>(&self, answer: StoreFuture<'a, T>) -> StoreFuture<'a, T> {
         let error = match *self.failing.lock().expect("not poisoned") {
-            None | Some(Failing::Migrated | Failing::FullForEnds | Failing::Late) => return answer,
+            None
+            | Some(Failing::Migrated | Failing::FullForEnds | Failing::FullForProbes | Failing::Late) => {
+                return answer;
+            }
             Some(Failing::Busy) => sqlx::Error::PoolTimedOut,
             Some(Failing::Gone) => sqlx::Error::PoolClosed,
             Some(Failing::Full) => full(),
@@ -145,6 +150,9 @@ impl Overview for FaultStore {
         self.guard(self.inner.schema_is_current())
     }
     fn probe(&self) -> StoreFuture<'_, ()> {
+        if *self.failing.lock().expect("not poisoned") == Some(Failing::FullForProbes) {
+            return Box::pin(async { Err(StoreError::Database(full())) });
+        }
         self.guard(self.inner.probe())
     }
 }
