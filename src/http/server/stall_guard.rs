@@ -123,7 +123,7 @@ impl<S: AsyncWrite + Unpin> AsyncWrite for StallGuard<S> {
 mod tests {
     use tokio::{
         io::{AsyncReadExt as _, AsyncWriteExt as _, duplex},
-        time::sleep,
+        time::{sleep, timeout},
     };
 
     use super::*;
@@ -149,6 +149,22 @@ mod tests {
             assert_eq!(fault.kind(), io::ErrorKind::TimedOut);
             reading.abort();
         }
+    }
+
+    #[tokio::test]
+    async fn answers_in_several_pieces_are_given_up_too() {
+        let (server, client) = duplex(8);
+        let min_rate = ReadRate { max_stall: Duration::from_millis(50), bytes_per_second: 1 << 20 };
+        let mut guarded = StallGuard::new(server, min_rate);
+        assert!(guarded.is_write_vectored(), "as the stream below");
+        let sending = async {
+            loop {
+                guarded.write_vectored(&[io::IoSlice::new(b"head"), io::IoSlice::new(b"body")]).await?;
+            }
+        };
+        let fault: io::Result<()> = timeout(Duration::from_secs(60), sending).await.expect("given up");
+        assert_eq!(fault.expect_err("too slow").kind(), io::ErrorKind::TimedOut);
+        drop(client);
     }
 
     #[tokio::test]
@@ -180,5 +196,7 @@ mod tests {
         assert_eq!(guarded.credit, Duration::from_secs(3));
         assert!(guarded.account(Poll::Ready(Ok(1 << 20)), &mut context).is_ready());
         assert_eq!(guarded.credit, Duration::from_secs(30));
+        let without_rate = ReadRate { bytes_per_second: 0, ..min_rate };
+        assert_eq!(without_rate.earned_by(3), Duration::from_secs(3));
     }
 }
