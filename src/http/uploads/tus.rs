@@ -252,7 +252,15 @@ mod tests {
             Metadata::parse(bad).expect_err(bad);
         }
         assert_eq!(Metadata::of(&with(METADATA, " ")).expect("nothing"), None);
+        Metadata::of(&with(METADATA, &"a".repeat(MAX_METADATA))).expect("just short enough");
         Metadata::of(&with(METADATA, &"a".repeat(MAX_METADATA + 1))).expect_err("too long");
+    }
+
+    #[test]
+    fn an_upload_is_begun_without_a_body() {
+        assert!(!has_body(&HeaderMap::new()) && !has_body(&with(header::CONTENT_LENGTH, "0")));
+        assert!(has_body(&with(header::CONTENT_LENGTH, "5")));
+        assert!(has_body(&with(header::TRANSFER_ENCODING, "chunked")));
     }
 
     #[test]

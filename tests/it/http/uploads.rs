@@ -10,7 +10,7 @@ use serde_json::json;
 use sha1::Sha1;
 use sha2::{Digest as _, Sha256};
 use tcgs::{
-    domain::{Digest, ProjectId, ProjectLimits, Scope, UploadId},
+    domain::{Digest, ManualClock, ProjectId, ProjectLimits, Scope, UploadId},
     http::config::RequestLimits,
     store::{NewUpload, Uploads as _, uploads::MAX_OPEN_UPLOADS},
 };
@@ -172,6 +172,45 @@ pub(super) async fn a_dataset_comes_in_parts_and_becomes_a_scene(coverage: Cover
     server.send("HEAD", &bad, tus).await.expect(404);
     server.send("DELETE", &bad, tus).await.expect(404);
     part(&server, &bad, 3, b"").await.expect_problem(404, "upload-not-found");
+    let id: UploadId = bad.rsplit('/').next().and_then(|id| id.parse().ok()).expect("an id");
+    let files = server.services.blobs.uploads().await.expect("a list");
+    assert!(!files.contains(&id), "its file is gone too");
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn each_part_gives_an_upload_its_whole_time_again() {
+    let clock = Arc::new(ManualClock::new("2026-11-21T12:00:00Z".parse().expect("an instant")));
+    let server = Server::start_with(&Coverage::default(), Setup { clock: clock.clone(), ..idle() }).await;
+    let upload = begin(&server, 10).await;
+    let expires = async || {
+        let head = server.send("HEAD", &upload, tus).await.expect(200);
+        head.header("upload-expires").to_owned()
+    };
+    assert_eq!(expires().await, "Sun, 22 Nov 2026 12:00:00 GMT");
+    clock.advance(SignedDuration::from_hours(23));
+    let sent = part(&server, &upload, 0, b"12345").await.expect(204);
+    assert_eq!(sent.header("upload-expires"), "Mon, 23 Nov 2026 11:00:00 GMT");
+    assert_eq!(expires().await, sent.header("upload-expires"));
+}
+
+/// Bytes of a part after which what came is recorded, though the part goes on.
+const RECORDED: usize = 16 << 20;
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_long_part_is_recorded_on_its_way_unless_a_checksum_may_undo_it() {
+    let server = Server::start_with(&Coverage::default(), idle()).await;
+    let content = vec![b'x'; RECORDED + (1 << 20)];
+    let upload = begin(&server, 2 * RECORDED).await;
+    let open = half_a_part(&server, &upload, 0..2 * RECORDED, &content, "").await;
+    eventually("what came is recorded", async || offset(&server, &upload).await >= RECORDED).await;
+    drop(open);
+
+    let upload = begin(&server, content.len()).await;
+    let wrong = format!("sha256 {}", STANDARD.encode(Sha256::digest(b"other")));
+    let answer =
+        part_with(&server, &upload, 0, &content, |request| request.header("upload-checksum", wrong)).await;
+    assert!(answer.expect_problem(460, "checksum-mismatch").contains("from byte 0"));
+    assert_eq!(offset(&server, &upload).await, 0);
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
