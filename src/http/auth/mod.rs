@@ -351,3 +351,30 @@ fn too_many_failures(reads: bool, wait: Wait) -> ProblemResponse {
     let fault = ProblemType::TooManyFailures.because(detail);
     challenge(reads, fault.with_header(header::RETRY_AFTER, wait.seconds().into()), BEARER)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn no_credentials_stay_in_the_headers_whatever_they_are() {
+        let key = "tcgs_000102030405060708090a0b0c0d0e0f10111213b57d5e69";
+        for (values, is_bearer) in [
+            (vec![format!("Bearer {key}")], true),
+            (vec![format!("Basic {}", STANDARD.encode(format!("me:{key}")))], false),
+            (vec![key.to_owned()], false),
+            (vec![format!("Bearer {key}"), format!("Bearer {key}")], false),
+        ] {
+            let mut headers = HeaderMap::new();
+            for value in &values {
+                headers.append(header::AUTHORIZATION, value.parse().expect("a value"));
+            }
+            assert_eq!(
+                matches!(take_credentials(&mut headers), Credentials::Bearer(_)),
+                is_bearer,
+                "{values:?}"
+            );
+            assert!(headers.is_empty(), "{values:?}");
+        }
+    }
+}

@@ -272,3 +272,21 @@ async fn a_stream_ends_with_a_word_soon_after_its_key_is_revoked() {
     }
     assert_eq!(kinds, ["state", "state"], "another key's stream goes on to the job's end");
 }
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_database_that_cannot_say_whether_a_key_is_valid_ends_no_stream() {
+    let limits = RequestLimits { key_recheck_interval: Duration::from_millis(5), ..Setup::default().limits };
+    let server = Server::start_with(&Coverage::default(), no_worker(limits)).await;
+    let job = server.create("succeed").await;
+    let key = server.key(&[Scope::Admin]).await;
+    let events = format!("{job}/events");
+    let open = server
+        .open("GET", &events, |request| request.bearer_auth(&key.key).header("accept", "text/event-stream"));
+    let mut stream = Reader::new(open.await);
+    assert_eq!(stream.next().await.map(|frame| frame.number()), Some(1));
+    server.store.set(Some(crate::support::faults::Failing::Gone));
+    tokio::time::sleep(Duration::from_millis(100)).await;
+    server.store.set(None);
+    with_key(&server, "POST", &format!("{job}/cancel"), &key.key).await.expect(200);
+    assert_eq!(stream.next().await.map(|frame| frame.event).as_deref(), Some("state"), "and not closed");
+}
