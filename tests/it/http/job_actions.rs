@@ -2,16 +2,17 @@
 
 use std::sync::{Arc, Mutex};
 
+use jiff::SignedDuration;
 use serde_json::{Value, json};
 use tcgs::{
-    domain::{DatasetId, DatasetSummary, Layout, Problem, ProblemType, ProjectId},
+    domain::{DatasetId, DatasetSummary, Layout, ManualClock, Problem, ProblemType, ProjectId},
     store::{Datasets as _, NewDataset, Outcome, Store as _},
 };
 use uuid::Uuid;
 
 use crate::support::{
     contract::Coverage,
-    eventually::within,
+    eventually::{eventually, within},
     faults::Failing,
     server::{Server, Setup},
 };
@@ -207,6 +208,21 @@ pub(super) async fn a_job_is_given_up_at_its_deadline_begun_or_not(coverage: Cov
     let failed = server.reaches(begun.header("location"), "failed").await;
     assert_eq!(failed["error"]["type"], "urn:tcgs:problem:deadline-exceeded");
     assert_eq!(failed["attempt"], 1);
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_job_is_taken_from_a_silent_worker_though_no_other_looks_for_it() {
+    let clock = Arc::new(ManualClock::new("2026-11-21T12:00:00Z".parse().expect("an instant")));
+    let setup = Setup { worker: false, clock: clock.clone(), ..Setup::default() };
+    let server = Server::start_with(&Coverage::default(), setup).await;
+    let job = server.create("succeed").await;
+    server.store.claim("silent").await.expect("an answer").expect("the job");
+    eventually("the attempt is lost", async || {
+        clock.advance(SignedDuration::from_secs(60));
+        let now = server.get(&job).await.expect(200).json();
+        now["state"] == "queued" && now["attempts"][0]["outcome"] == "lost"
+    })
+    .await;
 }
 
 pub(super) async fn a_failed_or_cancelled_job_is_retried_as_a_new_one(coverage: Coverage) {

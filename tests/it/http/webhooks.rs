@@ -168,7 +168,9 @@ pub(super) async fn what_is_wrong_with_an_endpoint_is_said(coverage: Coverage) {
     for query in ["?limit=0", "?cursor=x", "?all=1"] {
         server.get(&format!("{ENDPOINTS}{query}")).await.expect_problem(422, "invalid-parameter");
     }
-    let made = endpoint(&server, json!({ "url": url })).await;
+    let longest = "\u{fc}".repeat(200);
+    let made = endpoint(&server, json!({ "url": url, "description": longest })).await;
+    assert_eq!(made["description"], longest);
     let list = made["links"]["deliveries"].as_str().expect("a path");
     for query in ["?limit=101", "?cursor=x", "?all=1"] {
         server.get(&format!("{list}{query}")).await.expect_problem(422, "invalid-parameter");
