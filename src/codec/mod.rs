@@ -73,6 +73,7 @@ pub use encode::encode;
 pub use error::{DecodeError, EncodeError};
 pub use inspect::{ByteGroup, ByteRange, Inspection, SectionReport, inspect};
 pub use manifest::{ColorSpace, GroupContext, GroupCosts, Manifest, QuantSteps, WorldFrame};
+pub use positions::position_bytes;
 pub use stored_steps::{StoredSteps, stored_steps};
 
 /// How a file was made.

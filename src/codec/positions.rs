@@ -78,6 +78,14 @@ pub(super) fn encode(cells: &Ordered) -> Vec<u8> {
     writer.into_bytes()
 }
 
+/// Bytes of the positions section for `cells`, without what counts and checks it.
+///
+/// # Errors
+/// As of [`encode`](super::encode()): no cells, two equal ones, or some too far from each other.
+pub fn position_bytes(cells: &[[i32; 3]]) -> Result<usize, EncodeError> {
+    Ok(encode(&order(cells)?).len())
+}
+
 /// For each level from the root, for each of its nodes, which children exist.
 fn families(cells: &Ordered) -> Vec<Vec<u8>> {
     let mut levels = Vec::new();

@@ -98,8 +98,8 @@ pub(super) trait ModelTrainer {
     /// The model's size. May wait for the device.
     fn size(&self) -> Result<ModelSize>;
 
-    /// The bits of the last submitted step's sample; none if the loss has no rate term. May wait for the device.
-    fn bitrate(&self) -> Result<Option<BitrateSample>>;
+    /// The bits of the sample of `step`, the last submitted one; none if the loss has no rate term. May wait for the device.
+    fn bitrate(&self, step: u32) -> Result<Option<BitrateSample>>;
 
     /// Everything that the next step depends on. Waits for the device.
     fn save(&self) -> Result<ModelState>;

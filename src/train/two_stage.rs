@@ -159,8 +159,8 @@ impl ModelTrainer for TwoStageTrainer {
         self.stage.trainer().size()
     }
 
-    fn bitrate(&self) -> Result<Option<BitrateSample>> {
-        self.stage.trainer().bitrate()
+    fn bitrate(&self, step: u32) -> Result<Option<BitrateSample>> {
+        self.stage.trainer().bitrate(step)
     }
 
     fn save(&self) -> Result<ModelState> {

@@ -19,6 +19,7 @@ use super::{
     prune_invisible::prune_invisible,
 };
 use crate::{
+    codec::position_bytes,
     domain::{AnchorScene, Camera, Lattice, NearPlane, PointCloud, Scene, SceneScale},
     gpu::{Buffer, Device, Recorder},
     model::{
@@ -31,9 +32,8 @@ use crate::{
 /// Coarsest growth cell in lattice cells.
 const COARSEST_GROWTH: i32 = 16;
 
-/// Approximate bytes in a file outside the rate term: an anchor's position and mask, a parameter of the render networks, and the
-/// container.
-const BYTES_PER_ANCHOR: f64 = 1.6;
+/// Approximate bytes in a file outside the rate term: the mask of an offset, a parameter of the render networks, and the container.
+const BYTES_PER_MASK: f64 = 0.065;
 const BYTES_PER_PARAMETER: f64 = 0.85;
 const OTHER_BYTES: f64 = 600.0;
 
@@ -46,6 +46,8 @@ pub(super) struct AnchorTrainer {
     layout: NetworkLayout,
     owners: Vec<u8>,
     anchors: AnchorRows,
+    /// Bytes of their positions in a file; 0 for the baseline.
+    position_bytes: f64,
     device_anchors: DeviceAnchors,
     gradients: AnchorGradients,
     row_moments: Moments,
@@ -71,6 +73,11 @@ struct Parts {
     networks: [Vec<f32>; 3],
     compression: Option<Compression>,
     scene_scale: SceneScale,
+}
+
+/// Bytes of the anchors' positions in a file; 0 where they cannot be written, which the encoder will say.
+fn position_bytes_of(anchors: &AnchorRows) -> f64 {
+    position_bytes(&anchors.cells).map_or(0.0, |bytes| bytes as f64)
 }
 
 /// Warns of points that the lattice leaves out, and of cells larger than by the rule.
@@ -157,6 +164,7 @@ impl AnchorTrainer {
             network_moments: Moments::upload(device, &first, &second)?,
             statistics: device.upload("growth statistics", &statistics.values)?,
             masks: masks.transpose()?,
+            position_bytes: compression.as_ref().map_or(0.0, |_| position_bytes_of(anchors)),
             compression,
             shown: None,
             rendered: false,
@@ -277,6 +285,7 @@ impl AnchorTrainer {
             compression.replace(&self.anchors.cells, &state.anchors)?;
         }
         self.shown = None;
+        self.position_bytes = self.compression.as_ref().map_or(0.0, |_| position_bytes_of(&state.anchors));
         self.anchors = state.anchors;
         Ok(())
     }
@@ -401,12 +410,18 @@ impl ModelTrainer for AnchorTrainer {
         Ok(ModelSize { anchors: self.anchors.len(), gaussians: counts.map(|counts| counts[1] as usize) })
     }
 
-    fn bitrate(&self) -> Result<Option<BitrateSample>> {
-        let bitrate = self.compression.as_ref().map(Compression::bitrate).transpose()?.flatten();
+    fn bitrate(&self, step: u32) -> Result<Option<BitrateSample>> {
+        let bitrate = match &self.compression {
+            Some(compression) => compression.bitrate(step)?,
+            None => None,
+        };
         Ok(bitrate.map(|(bits_per_anchor, context_bytes)| {
-            let anchors = BYTES_PER_ANCHOR * self.anchors.len() as f64;
+            let masks = BYTES_PER_MASK * (self.anchors.len() * self.shape.offsets) as f64;
             let networks = BYTES_PER_PARAMETER * self.layout.parameters as f64;
-            BitrateSample { bits_per_anchor, other_bytes: OTHER_BYTES + anchors + networks + context_bytes }
+            BitrateSample {
+                bits_per_anchor,
+                other_bytes: OTHER_BYTES + self.position_bytes + masks + networks + context_bytes,
+            }
         }))
     }
 

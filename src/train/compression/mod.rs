@@ -29,7 +29,7 @@ use statistics::group_statistics;
 
 use crate::{
     codec::context::robust_frame,
-    domain::{CancelFlag, ContextFrame},
+    domain::{CancelFlag, ContextFrame, ContextKind},
     gpu::{Buffer, Device, Recorder, buffer_bytes},
     model::{AnchorRows, NetworkLayout, Shape},
     render::DeviceAnchors,
@@ -367,8 +367,12 @@ impl Compression {
         Ok(())
     }
 
-    /// Mean bits of an anchor's attributes in the last submitted sample, and bytes of the context model; none before it learns.
-    pub(in crate::train) fn bitrate(&self) -> Result<Option<(f64, f64)>> {
+    /// Mean bits of an anchor's attributes in the last submitted sample, that of `step`, and bytes of the context model; none before
+    /// it learns.
+    ///
+    /// Until a context model is selected, its bytes are those of the model without planes and neighbours: the selected one has more
+    /// only if it saves them elsewhere.
+    pub(in crate::train) fn bitrate(&self, step: u32) -> Result<Option<(f64, f64)>> {
         let Some(context_model) =
             self.context_model.as_ref().filter(|context_model| context_model.sampled > 0)
         else {
@@ -377,8 +381,15 @@ impl Compression {
         let [features, scalings, offsets] = context_model.rate.sums(&self.device)?;
         let bits = features * self.feature_share.unwrap_or(1.0) + scalings + offsets;
         let layout = context_model.net.layout();
-        let stored = stored_parameters(layout) as f64;
-        Ok(Some((bits / context_model.sampled as f64, BYTES_PER_PARAMETER * stored)))
+        let stored = if self.schedule.stage(step) < Stage::Rounded {
+            stored_parameters(&ContextLayout::new(ContextConfig {
+                kind: ContextKind::Position,
+                ..layout.config
+            })?)
+        } else {
+            stored_parameters(layout)
+        };
+        Ok(Some((bits / context_model.sampled as f64, BYTES_PER_PARAMETER * stored as f64)))
     }
 }
 

@@ -256,7 +256,7 @@ impl ModelTrainer for PlainTrainer {
         Ok(ModelSize { anchors: 0, gaussians: Some(self.rows.count) })
     }
 
-    fn bitrate(&self) -> Result<Option<BitrateSample>> {
+    fn bitrate(&self, _step: u32) -> Result<Option<BitrateSample>> {
         Ok(None)
     }
 

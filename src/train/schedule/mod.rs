@@ -282,7 +282,7 @@ impl Schedule {
             masks: masks(options, steps),
             prunes_invisible: options.model == ModelKind::Tcgs,
             narrows,
-            // Before lambda is first set, and when masks have settled.
+            // Before lambda is first corrected, and when masks have settled.
             narrowing_estimates: if narrows && options.max_bytes.is_some() {
                 vec![part(0.43), part(0.75) + 1]
             } else {

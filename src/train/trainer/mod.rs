@@ -553,7 +553,8 @@ impl<'a> Run<'a> {
 
     /// Updates the estimate of the file's size, and lambda, from the last step's sample.
     fn update_bitrate(&mut self) -> Result<()> {
-        let Some(BitrateSample { bits_per_anchor, other_bytes }) = self.model.bitrate()? else {
+        let Some(BitrateSample { bits_per_anchor, other_bytes }) = self.model.bitrate(self.state.step)?
+        else {
             return Ok(());
         };
         let anchors = self.model.anchors() as f64;

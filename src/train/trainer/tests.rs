@@ -86,7 +86,7 @@ fn the_estimate_of_the_files_bytes_reads_the_samples_rate_and_no_more() {
         run.advance(&mut |_| false, &CancelFlag::default()).expect("steps");
     }
     let made = device.buffers_made();
-    run.model.bitrate().expect("read").expect("the context model learns");
+    run.model.bitrate(run.state.step).expect("read").expect("the context model learns");
     let of_rate = device.buffers_made() - made;
     run.update_bitrate().expect("weighed");
     assert_eq!(device.buffers_made() - made, 2 * of_rate);
