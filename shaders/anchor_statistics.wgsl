@@ -3,6 +3,7 @@
 // Screen gradients are in half-image units: pixels times half the width and height. An overflowed pass adds nothing.
 #import tcgs::anchor_view::View
 #import tcgs::model::OFFSETS
+#import tcgs::spread::part_of
 
 const ROW: u32 = 2u * OFFSETS + 2u;
 
@@ -15,8 +16,12 @@ const ROW: u32 = 2u * OFFSETS + 2u;
 @group(0) @binding(5) var<storage, read> overflow_flag: array<u32>;
 
 @compute @workgroup_size(64)
-fn anchor_statistics(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) local: u32) {
-    let index = (group.x + group.y * 65535u) * 64u + local;
+fn anchor_statistics(
+    @builtin(workgroup_id) group: vec3u,
+    @builtin(num_workgroups) groups: vec3u,
+    @builtin(local_invocation_index) local: u32,
+) {
+    let index = part_of(group, groups) * 64u + local;
     if index >= list[0] || overflow_flag[0] != 0u {
         return;
     }

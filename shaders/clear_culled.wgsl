@@ -3,6 +3,7 @@
 
 #import tcgs::view::View
 #import tcgs::geometry::{quat_row, scale_row}
+#import tcgs::spread::part_of
 
 @group(0) @binding(0) var<uniform> view: View;
 @group(0) @binding(1) var<storage, read> count: array<u32>;
@@ -12,9 +13,14 @@
 @group(0) @binding(5) var<storage, read_write> v_means_image: array<vec4<f32>>;
 
 @compute @workgroup_size(64)
-fn clear_culled(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
+fn clear_culled(
+    @builtin(workgroup_id) group: vec3<u32>,
+    @builtin(num_workgroups) groups: vec3<u32>,
+    @builtin(local_invocation_index) local: u32,
+) {
+    let begin = part_of(group, groups) * 64u + local;
     let total = min(count[0], view.gaussian_capacity);
-    for (var i = id.x; i < total; i += groups.x * 64u) {
+    for (var i = begin; i < total; i += groups.x * 64u) {
         if tiles[i] == 0u {
             v_geometry[i] = vec4<f32>(0.0);
             v_geometry[scale_row(view.gaussian_capacity, i)] = vec4<f32>(0.0);

@@ -3,6 +3,7 @@
 // computes one plane's samples at one neighbour, or the prior, of one anchor. A texel's position and fraction are integers
 // of the decoder's arithmetic, so training samples exactly where the decoder does.
 #import tcgs::context::{PRIORS, corners, sample_weights}
+#import tcgs::spread::part_of
 
 struct Sampling {
     // edge of a plane, channels of a plane, neighbours that are sampled, columns of a row
@@ -20,13 +21,17 @@ struct Sampling {
 @group(0) @binding(6) var<storage, read_write> results: array<f32>;
 
 @compute @workgroup_size(64)
-fn context_input(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) local: u32) {
+fn context_input(
+    @builtin(workgroup_id) group: vec3u,
+    @builtin(num_workgroups) groups: vec3u,
+    @builtin(local_invocation_index) local: u32,
+) {
     let edge = sampling.shape.x;
     let channels = sampling.shape.y;
     let sampled = sampling.shape.z;
     let capacity = sampling.shape.w;
     let parts = 3u * sampled + 1u;
-    let block = group.x + group.y * 65535u;
+    let block = part_of(group, groups);
     let strip = block / parts;
     let part = block - strip * parts;
     let column = strip * 64u + local;

@@ -4,6 +4,7 @@
 // A CPU has few vector registers, masks every assignment that outlives an iteration of a loop, and reads its stack as fast as
 // registers. So an invocation first reads all inputs of four columns, and then computes one output after another, each in one
 // register. Lanes read the weights, four inputs each, and share them. More than 4 BLOCKS inputs are taken in several turns.
+#import tcgs::spread::part_of
 
 struct Layer {
     // inputs, outputs, vectors of four columns in a row, inputs a turn: 4 BLOCKS (not a constant, lest the loop be unrolled)
@@ -32,11 +33,12 @@ const BLOCKS: u32 = #{BLOCKS}u;
 @compute @workgroup_size(LANES)
 fn dense_software(
     @builtin(workgroup_id) group: vec3u,
+    @builtin(num_workgroups) groups: vec3u,
     @builtin(local_invocation_index) local: u32,
     @builtin(subgroup_invocation_id) subgroup_lane: u32,
 ) {
     let lane = subgroup_lane & 7u;
-    let strip = group.x + group.y * 65535u;
+    let strip = part_of(group, groups);
     // Uniform: either all invocations of a workgroup return here or none.
     if strip * 4u * LANES >= list[0] {
         return;

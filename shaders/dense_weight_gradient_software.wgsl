@@ -4,6 +4,7 @@
 //
 // For the reasons of `dense_software`, an invocation holds the gradients of four outputs at BLOCK columns and computes the sums
 // of one input after another. Lanes read the input's values, four columns each, and share them.
+#import tcgs::spread::part_of
 
 struct Layer {
     // inputs, outputs, vectors of four columns in a row, columns a run (a multiple of BLOCK)
@@ -29,6 +30,7 @@ fn until(end: u32, column: u32, values: vec4f) -> vec4f {
 @compute @workgroup_size(LANES)
 fn dense_weight_gradient_software(
     @builtin(workgroup_id) group: vec3u,
+    @builtin(num_workgroups) groups: vec3u,
     @builtin(local_invocation_index) lane: u32,
 ) {
     let inputs = layer.shape.x;
@@ -36,7 +38,7 @@ fn dense_weight_gradient_software(
     let columns = layer.shape.z;
     let row = (outputs + 3u) / 4u;
     let tiles = (row + LANES - 1u) / LANES;
-    let place = group.x + group.y * 65535u;
+    let place = part_of(group, groups);
     let run = place / tiles;
     let four = (place - run * tiles) * LANES + lane;
     let begin = run * layer.shape.w;

@@ -3,6 +3,7 @@
 
 #import tcgs::view::{INTERSECTIONS, REQUIRED, COMPLETED, VISIBLE, View}
 #import tcgs::splat::{NONE, ridges_of, tile_bounds, touches_tile}
+#import tcgs::spread::part_of
 
 @group(0) @binding(0) var<uniform> view: View;
 @group(0) @binding(1) var<storage, read_write> counters: array<u32>;
@@ -22,9 +23,14 @@ fn put(slot: u32, tile: u32, id: u32) {
 }
 
 @compute @workgroup_size(64)
-fn emit(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
+fn emit(
+    @builtin(workgroup_id) group: vec3<u32>,
+    @builtin(num_workgroups) groups: vec3<u32>,
+    @builtin(local_invocation_index) local: u32,
+) {
+    let begin = part_of(group, groups) * 64u + local;
     let all = counters[INTERSECTIONS];
-    if id.x == 0u && counters[REQUIRED] == 0u {
+    if begin == 0u && counters[REQUIRED] == 0u {
         if all > view.intersection_capacity {
             counters[REQUIRED] = all;
         } else {
@@ -32,7 +38,7 @@ fn emit(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) g
         }
     }
     let total = min(counters[VISIBLE], view.gaussian_capacity);
-    for (var i = id.x; i < total; i += groups.x * 64u) {
+    for (var i = begin; i < total; i += groups.x * 64u) {
         let gaussian = ids[i];
         let place = splats[3u * gaussian];
         let conic = splats[3u * gaussian + 1u];

@@ -1,6 +1,7 @@
 // Scatters the gradient of the networks' input to the opaque anchors' features; each anchor has at most one column.
 #import tcgs::anchor_view::View
 #import tcgs::model::{FEATURES, ROW}
+#import tcgs::spread::part_of
 
 @group(0) @binding(0) var<uniform> view: View;
 @group(0) @binding(1) var<storage, read> columns: array<u32>;
@@ -8,8 +9,12 @@
 @group(0) @binding(3) var<storage, read_write> d_rows: array<f32>;
 
 @compute @workgroup_size(64)
-fn feature_gradient(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) local: u32) {
-    let column = (group.x + group.y * 65535u) * 64u + local;
+fn feature_gradient(
+    @builtin(workgroup_id) group: vec3u,
+    @builtin(num_workgroups) groups: vec3u,
+    @builtin(local_invocation_index) local: u32,
+) {
+    let column = part_of(group, groups) * 64u + local;
     if column >= columns[0] {
         return;
     }

@@ -2,6 +2,7 @@
 // is that of a chain of a few hundred additions. Rows of Gaussians that touch no tile are not written, and never read.
 
 #import tcgs::view::{VISIBLE, View}
+#import tcgs::spread::part_of
 
 @group(0) @binding(0) var<uniform> view: View;
 @group(0) @binding(1) var<storage, read> counters: array<u32>;
@@ -49,9 +50,14 @@ fn runs(first: u32, end: u32) -> Sums {
 }
 
 @compute @workgroup_size(64)
-fn gather(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
+fn gather(
+    @builtin(workgroup_id) group: vec3<u32>,
+    @builtin(num_workgroups) groups: vec3<u32>,
+    @builtin(local_invocation_index) local: u32,
+) {
+    let begin = part_of(group, groups) * 64u + local;
     let total = min(counters[VISIBLE], view.gaussian_capacity);
-    for (var place = id.x; place < total; place += groups.x * 64u) {
+    for (var place = begin; place < total; place += groups.x * 64u) {
         let i = ids[place];
         let first = min(first_slots[i], view.intersection_capacity);
         let end = first + min(tiles[i], view.intersection_capacity - first);

@@ -2,6 +2,7 @@
 // the opacity, so its gradient is the opacity's times the opacity; the binary mask passes it on straight-through, as the
 // logistic of the logit would. A masked offset was not rendered and has none. Each anchor is visible at most once.
 #import tcgs::model::{OFFSETS, logistic}
+#import tcgs::spread::part_of
 
 @group(0) @binding(0) var<storage, read> list: array<u32>;
 @group(0) @binding(1) var<storage, read> geometry: array<vec4f>;
@@ -10,8 +11,12 @@
 @group(0) @binding(4) var<storage, read_write> d_logits: array<f32>;
 
 @compute @workgroup_size(64)
-fn mask_gradient(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) local: u32) {
-    let index = (group.x + group.y * 65535u) * 64u + local;
+fn mask_gradient(
+    @builtin(workgroup_id) group: vec3u,
+    @builtin(num_workgroups) groups: vec3u,
+    @builtin(local_invocation_index) local: u32,
+) {
+    let index = part_of(group, groups) * 64u + local;
     if index >= list[0] {
         return;
     }

@@ -5,6 +5,7 @@
 #import tcgs::anchor_view::{View, ray_to}
 #import tcgs::finite::below
 #import tcgs::model::{FEATURES, LIMIT, ROW}
+#import tcgs::spread::part_of
 
 @group(0) @binding(0) var<uniform> view: View;
 @group(0) @binding(1) var<storage, read> list: array<u32>;
@@ -17,8 +18,12 @@
 #endif
 
 @compute @workgroup_size(64)
-fn network_input(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) local: u32) {
-    let index = (group.x + group.y * 65535u) * 64u + local;
+fn network_input(
+    @builtin(workgroup_id) group: vec3u,
+    @builtin(num_workgroups) groups: vec3u,
+    @builtin(local_invocation_index) local: u32,
+) {
+    let index = part_of(group, groups) * 64u + local;
     let capacity = view.counts.y;
 #ifdef OPAQUE
     if index >= columns[0] {

@@ -3,6 +3,7 @@
 #import tcgs::anchor_view::View
 #import tcgs::finite::finite
 #import tcgs::model::OFFSETS
+#import tcgs::spread::part_of
 
 @group(0) @binding(0) var<uniform> view: View;
 @group(0) @binding(1) var<storage, read> list: array<u32>;
@@ -13,8 +14,12 @@
 @group(0) @binding(6) var<storage, read_write> alive: array<u32>;
 
 @compute @workgroup_size(64)
-fn opaque_anchors(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) local: u32) {
-    let index = (group.x + group.y * 65535u) * 64u + local;
+fn opaque_anchors(
+    @builtin(workgroup_id) group: vec3u,
+    @builtin(num_workgroups) groups: vec3u,
+    @builtin(local_invocation_index) local: u32,
+) {
+    let index = part_of(group, groups) * 64u + local;
     if index >= view.counts.x {
         return;
     }

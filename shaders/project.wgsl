@@ -4,6 +4,7 @@
 #import tcgs::finite::all_finite
 #import tcgs::geometry::{quat_row, scale_row}
 #import tcgs::splat::{ALPHA_MIN, ridges_of, tile_bounds, touches_tile}
+#import tcgs::spread::part_of
 
 @group(0) @binding(0) var<uniform> view: View;
 @group(0) @binding(1) var<storage, read> count: array<u32>;
@@ -99,12 +100,17 @@ fn project_one(i: u32) -> u32 {
 }
 
 @compute @workgroup_size(64)
-fn project(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
+fn project(
+    @builtin(workgroup_id) group: vec3<u32>,
+    @builtin(num_workgroups) groups: vec3<u32>,
+    @builtin(local_invocation_index) local: u32,
+) {
+    let begin = part_of(group, groups) * 64u + local;
     let total = min(count[0], view.gaussian_capacity);
 #if RUN > 1
     // Of many candidates few are opaque. Lanes of a software adapter that have none cost as much as those that have one, so each
     // takes a run of candidates and projects the opaque ones; antialiasing makes none more opaque.
-    for (var first = id.x * RUN; first < total; first += groups.x * 64u * RUN) {
+    for (var first = begin * RUN; first < total; first += groups.x * 64u * RUN) {
         var opaque = 0u;
         for (var k = 0u; k < min(RUN, total - first); k++) {
             if geometry[first + k].w >= ALPHA_MIN {
@@ -123,7 +129,7 @@ fn project(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups
         }
     }
 #else
-    for (var i = id.x; i < total; i += groups.x * 64u) {
+    for (var i = begin; i < total; i += groups.x * 64u) {
         let touched = project_one(i);
         tiles[i] = touched;
         visible[i] = u32(touched > 0u);

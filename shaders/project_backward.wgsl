@@ -2,6 +2,7 @@
 
 #import tcgs::view::{VISIBLE, View, to_camera}
 #import tcgs::geometry::{quat_row, scale_row}
+#import tcgs::spread::part_of
 
 @group(0) @binding(0) var<uniform> view: View;
 @group(0) @binding(1) var<storage, read> counters: array<u32>;
@@ -109,9 +110,14 @@ fn project_one_backward(i: u32) {
 }
 
 @compute @workgroup_size(64)
-fn project_backward(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
+fn project_backward(
+    @builtin(workgroup_id) group: vec3<u32>,
+    @builtin(num_workgroups) groups: vec3<u32>,
+    @builtin(local_invocation_index) local: u32,
+) {
+    let begin = part_of(group, groups) * 64u + local;
     let total = min(counters[VISIBLE], view.gaussian_capacity);
-    for (var place = id.x; place < total; place += groups.x * 64u) {
+    for (var place = begin; place < total; place += groups.x * 64u) {
         project_one_backward(ids[place]);
     }
 }

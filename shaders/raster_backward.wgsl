@@ -8,6 +8,7 @@
 
 #import tcgs::view::{TILE, View, tile_pixel}
 #import tcgs::splat::{ALPHA_MAX, ALPHA_MIN, NONE, power_at, ridges_of, touches}
+#import tcgs::spread::part_of
 
 @group(0) @binding(0) var<uniform> view: View;
 @group(0) @binding(1) var<storage, read> ranges: array<vec2<u32>>;
@@ -159,13 +160,14 @@ fn share(lane: u32, k: u32, own: Gradient) {
 @compute @workgroup_size(LANES)
 fn raster_backward(
     @builtin(workgroup_id) group: vec3<u32>,
+    @builtin(num_workgroups) groups: vec3<u32>,
 #ifdef SUBGROUPS
     @builtin(subgroup_invocation_id) lane: u32,
 #else
     @builtin(local_invocation_index) lane: u32,
 #endif
 ) {
-    let tile = group.x + group.y * 65535u;
+    let tile = part_of(group, groups);
     if tile >= view.tiles.x * view.tiles.y {
         return;
     }

@@ -2,6 +2,7 @@
 
 #import tcgs::view::{TILE, View, tile_pixel}
 #import tcgs::splat::{ALPHA_MAX, ALPHA_MIN, NONE, NOWHERE, TRANSMITTANCE_MIN, power_at, ridges_of, touches}
+#import tcgs::spread::part_of
 
 @group(0) @binding(0) var<uniform> view: View;
 @group(0) @binding(1) var<storage, read> ranges: array<vec2<u32>>;
@@ -150,12 +151,13 @@ fn blend_chunk(
 @compute @workgroup_size(GROUP)
 fn raster_forward(
     @builtin(workgroup_id) group: vec3<u32>,
+    @builtin(num_workgroups) groups: vec3<u32>,
     @builtin(local_invocation_index) invocation: u32,
 #ifdef SUBGROUPS
     @builtin(subgroup_invocation_id) lane: u32,
 #endif
 ) {
-    let linear = group.x + group.y * 65535u;
+    let linear = part_of(group, groups);
     let tile = linear / GROUPS_A_TILE;
     let local = linear % GROUPS_A_TILE * GROUP + invocation;
     if tile >= view.tiles.x * view.tiles.y {

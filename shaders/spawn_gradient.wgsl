@@ -4,6 +4,7 @@
 #import tcgs::anchor_view::View
 #import tcgs::geometry::{quat_row, scale_row}
 #import tcgs::model::{ROW, OFFSETS, SCALING_COLUMN, OFFSET_COLUMN, COVARIANCE_OUT, COLOR_OUT, logistic}
+#import tcgs::spread::part_of
 
 @group(0) @binding(0) var<uniform> view: View;
 @group(0) @binding(1) var<storage, read> columns: array<u32>;
@@ -16,8 +17,12 @@
 @group(0) @binding(8) var<storage, read_write> d_rows: array<f32>;
 
 @compute @workgroup_size(64)
-fn spawn_gradient(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) local: u32) {
-    let column = (group.x + group.y * 65535u) * 64u + local;
+fn spawn_gradient(
+    @builtin(workgroup_id) group: vec3u,
+    @builtin(num_workgroups) groups: vec3u,
+    @builtin(local_invocation_index) local: u32,
+) {
+    let column = part_of(group, groups) * 64u + local;
     if column >= columns[0] {
         return;
     }

@@ -1,6 +1,7 @@
 // The tile counts of the visible Gaussians, nearest first.
 
 #import tcgs::view::{VISIBLE, View}
+#import tcgs::spread::part_of
 
 @group(0) @binding(0) var<uniform> view: View;
 @group(0) @binding(1) var<storage, read> counters: array<u32>;
@@ -9,9 +10,14 @@
 @group(0) @binding(4) var<storage, read_write> sorted_tiles: array<u32>;
 
 @compute @workgroup_size(64)
-fn tile_counts(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
+fn tile_counts(
+    @builtin(workgroup_id) group: vec3<u32>,
+    @builtin(num_workgroups) groups: vec3<u32>,
+    @builtin(local_invocation_index) local: u32,
+) {
+    let begin = part_of(group, groups) * 64u + local;
     let total = min(counters[VISIBLE], view.gaussian_capacity);
-    for (var i = id.x; i < total; i += groups.x * 64u) {
+    for (var i = begin; i < total; i += groups.x * 64u) {
         sorted_tiles[i] = tiles[ids[i]];
     }
 }

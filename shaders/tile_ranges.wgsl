@@ -1,6 +1,7 @@
 // Finds where each tile's list begins and ends (the ranges start zeroed), and names its Gaussians.
 
 #import tcgs::view::{INTERSECTIONS, View}
+#import tcgs::spread::part_of
 
 @group(0) @binding(0) var<uniform> view: View;
 @group(0) @binding(1) var<storage, read> counters: array<u32>;
@@ -11,9 +12,14 @@
 @group(0) @binding(6) var<storage, read_write> ranges: array<vec2<u32>>;
 
 @compute @workgroup_size(64)
-fn tile_ranges(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
+fn tile_ranges(
+    @builtin(workgroup_id) group: vec3<u32>,
+    @builtin(num_workgroups) groups: vec3<u32>,
+    @builtin(local_invocation_index) local: u32,
+) {
+    let begin = part_of(group, groups) * 64u + local;
     let total = min(counters[INTERSECTIONS], view.intersection_capacity);
-    for (var i = id.x; i < total; i += groups.x * 64u) {
+    for (var i = begin; i < total; i += groups.x * 64u) {
         list[i] = slot_ids[slots[i]];
         let tile = keys[i];
         if i == 0u || keys[max(i, 1u) - 1u] != tile {

@@ -3,6 +3,7 @@
 #import tcgs::anchor_view::View
 #import tcgs::finite::{below, each_below, finite}
 #import tcgs::model::{ROW, OFFSETS, SCALING_COLUMN, OFFSET_COLUMN, LIMIT, tanh_bounded}
+#import tcgs::spread::part_of
 
 // The rasteriser skips smaller opacities (METHOD.md §3.2).
 const MIN_OPACITY: f32 = 1.0 / 255.0;
@@ -16,8 +17,12 @@ const MIN_OPACITY: f32 = 1.0 / 255.0;
 @group(0) @binding(6) var<storage, read_write> shown: array<u32>;
 
 @compute @workgroup_size(64)
-fn visible_offsets(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) local: u32) {
-    let index = (group.x + group.y * 65535u) * 64u + local;
+fn visible_offsets(
+    @builtin(workgroup_id) group: vec3u,
+    @builtin(num_workgroups) groups: vec3u,
+    @builtin(local_invocation_index) local: u32,
+) {
+    let index = part_of(group, groups) * 64u + local;
     if index >= list[0] {
         return;
     }

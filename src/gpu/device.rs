@@ -181,7 +181,8 @@ impl Device {
         if let Some(kernel) = kernels.compiled.get(&key) {
             return Ok(Arc::clone(kernel));
         }
-        let kernel = Arc::new(Kernel::compile(&self.inner, &mut kernels.composer, source, defs)?);
+        let defs = [defs, self.variant().defs()].concat();
+        let kernel = Arc::new(Kernel::compile(&self.inner, &mut kernels.composer, source, &defs)?);
         kernels.compiled.insert(key, Arc::clone(&kernel));
         Ok(kernel)
     }

@@ -13,6 +13,11 @@ pub enum KernelVariant {
 }
 
 impl KernelVariant {
+    /// Shader definitions of every kernel on a device of this variant.
+    pub(super) fn defs(self) -> &'static [(&'static str, u32)] {
+        self.choose(&[("SOFTWARE", 1)], &[])
+    }
+
     /// One value for each variant.
     pub(crate) fn choose<T>(self, software: T, hardware: T) -> T {
         match self {

@@ -32,6 +32,7 @@ pub use kernel_source;
 
 /// Files that kernels import, by the path in their `#define_import_path` line, in dependency order.
 const SHARED: &[(&str, &str)] = &[
+    ("spread", include_str!("../../../shaders/shared/spread.wgsl")),
     ("view", include_str!("../../../shaders/shared/view.wgsl")),
     ("splat", include_str!("../../../shaders/shared/splat.wgsl")),
     ("finite", include_str!("../../../shaders/shared/finite.wgsl")),
@@ -151,6 +152,7 @@ mod tests {
     };
 
     use super::*;
+    use crate::gpu::KernelVariant;
 
     fn files(folder: &Path, extension: &str, into: &mut Vec<PathBuf>) {
         for entry in fs::read_dir(folder).expect("a readable folder") {
@@ -182,6 +184,16 @@ mod tests {
 
     /// Every set of definitions that a kernel is compiled with, but for the model's shape.
     pub(super) fn variants(text: &str) -> Vec<Vec<(&'static str, u32)>> {
+        let mut variants = own_variants(text);
+        if text.contains("tcgs::spread") || text.contains("#ifdef SOFTWARE") {
+            let software = KernelVariant::Software.defs();
+            variants.extend(variants.clone().iter().map(|defs| [&defs[..], software].concat()));
+        }
+        variants
+    }
+
+    /// [`variants`] by the kernel's own definitions.
+    fn own_variants(text: &str) -> Vec<Vec<(&'static str, u32)>> {
         let with = |more: &[(&'static str, u32)]| [SHAPE, more].concat();
         if text.contains("SUBGROUPS") {
             let of = |size| vec![("SUBGROUPS", size), ("GRADIENT_LANES", size)];
