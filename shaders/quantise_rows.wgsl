@@ -9,27 +9,52 @@
 @group(0) @binding(3) var<storage, read> steps: array<f32>;
 @group(0) @binding(4) var<storage, read_write> rendered: array<f32>;
 
+// Values that an invocation quantises. On a software adapter it is a whole row: lanes with different groups of columns would each
+// compute what every group needs.
+#ifdef SOFTWARE
+const RUN: u32 = ROW;
+#else
+const RUN: u32 = 1u;
+#endif
+
 @compute @workgroup_size(64)
 fn quantise_rows(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) local: u32) {
-    let i = (group.x + group.y * 65535u) * 64u + local;
-    if i >= settings.shape.x * ROW {
+    let begin = ((group.x + group.y * 65535u) * 64u + local) * RUN;
+    if begin >= settings.shape.x * ROW {
         return;
     }
-    let anchor = i / ROW;
-    let column = i - anchor * ROW;
-    let value = rows[i];
-    let place = u32(column >= SCALING_COLUMN) + u32(column >= OFFSET_COLUMN);
+    let anchor = begin / ROW;
     let phase = settings.shape.y;
-    var width = settings.base[place];
+    var widths = settings.base.xyz;
     if phase != FIXED_NOISE {
-        width = steps[3u * anchor + place];
+        widths = vec3f(steps[3u * anchor], steps[3u * anchor + 1u], steps[3u * anchor + 2u]);
     }
     let stream = stream_of(settings.shape.z, anchor);
+    let mask = masks[anchor];
+#ifdef SOFTWARE
+    for (var column = 0u; column < SCALING_COLUMN; column++) {
+        rendered[begin + column] = quantise(phase, stream, column, rows[begin + column], widths.x).value;
+    }
+    for (var column = SCALING_COLUMN; column < OFFSET_COLUMN; column++) {
+        let scaling = scaling_of(rows[begin + column]);
+        rendered[begin + column] = log(quantise_scaling(phase, stream, column, scaling, widths.y).value);
+    }
+    for (var column = OFFSET_COLUMN; column < ROW; column++) {
+        let value = rows[begin + column];
+        let quantised = quantise(phase, stream, column, value, widths.z).value;
+        rendered[begin + column] = select(value, quantised, ((mask >> ((column - OFFSET_COLUMN) / 3u)) & 1u) == 1u);
+    }
+#else
+    let column = begin - anchor * ROW;
+    let place = u32(column >= SCALING_COLUMN) + u32(column >= OFFSET_COLUMN);
+    let value = rows[begin];
+    let width = widths[place];
     var result = value;
     if place == 1u {
         result = log(quantise_scaling(phase, stream, column, scaling_of(value), width).value);
-    } else if place == 0u || ((masks[anchor] >> ((column - OFFSET_COLUMN) / 3u)) & 1u) == 1u {
+    } else if place == 0u || ((mask >> ((column - OFFSET_COLUMN) / 3u)) & 1u) == 1u {
         result = quantise(phase, stream, column, value, width).value;
     }
-    rendered[i] = result;
+    rendered[begin] = result;
+#endif
 }

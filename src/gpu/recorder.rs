@@ -3,7 +3,7 @@
 use std::{sync::Arc, time::Instant};
 
 use super::{
-    Buffer, Device, GpuError, Kernel, KernelSource, RawBuffer,
+    Buffer, Device, GpuError, Kernel, KernelSource, KernelVariant, RawBuffer,
     ledger::Reservation,
     profile::RecordingTimes,
     timing::{KernelTime, Timing},
@@ -59,6 +59,12 @@ impl Recorder<'_> {
         if let Some(times) = &mut self.times {
             times.stage(name);
         }
+    }
+
+    /// How kernels divide their work on the recorder's device.
+    #[must_use]
+    pub fn variant(&self) -> KernelVariant {
+        self.device.variant()
     }
 
     /// The compiled kernel of a source on the recorder's device: [`Device::kernel`].

@@ -137,10 +137,11 @@ impl QuantisedRows {
         quantisation: &Quantisation,
     ) -> Result<(), GpuError> {
         let settings = recorder.uniform(&[quantisation.uniform(anchors.count)])?;
+        let a_lane = recorder.variant().choose(anchors.shape.row(), 1);
         recorder.dispatch(
             &self.quantise_rows,
             &[&settings, &anchors.rows, &anchors.masks, &self.steps, &self.rows],
-            (anchors.count * anchors.shape.row()).div_ceil(64) as u32,
+            (anchors.count * anchors.shape.row() / a_lane).div_ceil(64) as u32,
         );
         Ok(())
     }
