@@ -11,12 +11,12 @@ struct Layer {
     shape: vec4u,
     // first row in the input, first row in the output, first row in the gate, first bias (or NONE)
     places: vec4u,
-    // vectors of weights an output, unused, unused, unused
+    // vectors of weights an output, first of them, unused, unused
     packing: vec4u,
 }
 
 const NONE: u32 = 0xffffffffu;
-const LANES: u32 = 32u;
+const LANES: u32 = 8u;
 const BLOCKS: u32 = #{BLOCKS}u;
 
 @group(0) @binding(0) var<uniform> layer: Layer;
@@ -53,7 +53,7 @@ fn dense_software(
             x[k] = source[(layer.places.x + min(done + k, inputs - 1u)) * row + column];
         }
         for (var output = 0u; output < layer.shape.y; output++) {
-            let first = output * layer.packing.x + done / 4u + lane;
+            let first = layer.packing.y + output * layer.packing.x + done / 4u + lane;
             let w0 = weights[first];
 #if BLOCKS > 8
             let w8 = weights[first + 8u];

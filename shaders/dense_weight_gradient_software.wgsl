@@ -1,5 +1,5 @@
 // As `dense_weight_gradient`, for software adapters: partial sums, over one run of columns, of the gradient of a layer's weights
-// and bias. A run's sums are rows of outputs, padded to a multiple of four, one row an input and one of the bias;
+// and bias. A run's sums are those of all layers, of each in rows of outputs, padded to a multiple of four, one row an input and one of the bias;
 // `sum_weight_gradient` adds the runs in order. Column-major data in rows of a multiple of four columns.
 //
 // For the reasons of `dense_software`, an invocation holds the gradients of four outputs at BLOCK columns and computes the sums
@@ -11,6 +11,8 @@ struct Layer {
     shape: vec4u,
     // first row in the input, first row in the output gradient, BLOCK (not a constant, lest the loop be unrolled), unused
     places: vec4u,
+    // first vector in a run's sums, vectors of all layers there, unused, unused
+    sums: vec4u,
 }
 
 const LANES: u32 = 8u;
@@ -80,7 +82,7 @@ fn dense_weight_gradient_software(
             sum += subgroupBroadcast(x8, 6u) * mat4x4f(d[56], d[57], d[58], d[59]);
             sum += subgroupBroadcast(x8, 7u) * mat4x4f(d[60], d[61], d[62], d[63]);
             if four < row {
-                let to = (run * (inputs + 1u) + input) * row + four;
+                let to = run * layer.sums.y + layer.sums.x + input * row + four;
                 if start > begin {
                     sum += partials[to];
                 }

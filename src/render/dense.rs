@@ -72,11 +72,18 @@ impl DenseLayers {
     ) -> Plan<'static, Buffer<f32>> {
         let runs = capacity.div_ceil(GRADIENT_RUN).max(1);
         let a_run =
-            layers.into_iter().map(|layer| SoftwareLayers::partials(&layer)).fold(parameters, usize::max);
+            layers.into_iter().map(|layer| SoftwareLayers::partials(&layer)).sum::<usize>().max(parameters);
         Plan::buffer(label, runs * a_run)
     }
 
-    /// Records `output = layer(input)`.
+    /// Records reading the parameters of all layers. Layers are evaluated and differentiated with them until the next call.
+    pub fn load(&self, recorder: &mut Recorder<'_>, parameters: &Buffer<f32>) {
+        if let Kernels::Software(kernels) = &self.kernels {
+            kernels.load(recorder, parameters);
+        }
+    }
+
+    /// Records `output = layer(input)`; [`Self::load`] has read the same parameters.
     pub fn forward(
         &self,
         recorder: &mut Recorder<'_>,
@@ -139,7 +146,10 @@ impl DenseLayers {
     ) -> Result<()> {
         match &self.kernels {
             Kernels::Hardware(kernels) => kernels.sum_partials(recorder, columns, out),
-            Kernels::Software(_) => Ok(()),
+            Kernels::Software(kernels) => {
+                kernels.sum_weight_gradients(recorder, columns, out);
+                Ok(())
+            }
         }
     }
 }

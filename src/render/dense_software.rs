@@ -1,13 +1,13 @@
 //! The kernels of dense layers for software adapters, which a CPU runs several times as fast as those for hardware.
 //!
-//! What always holds: buffers have rows of a multiple of four columns. Every layer's weights are packed, and its partial gradients
-//! summed, before those of the next layer, so layers share one buffer for each.
+//! What always holds: buffers have rows of a multiple of four columns. The weights of all layers are packed in one dispatch, and
+//! their partial gradients summed in one: on a small sample a dispatch costs more than what it computes.
 
 use std::sync::Arc;
 
 use super::{
-    Result,
-    dense_layer::{Activation, DenseLayer, GRADIENT_RUN, InputGradient, NO_BIAS, WeightGradient},
+    RenderError, Result,
+    dense_layer::{Activation, Columns, DenseLayer, GRADIENT_RUN, InputGradient, NO_BIAS, WeightGradient},
 };
 use crate::{
     gpu::{Buffer, Kernel, Plan, Recorder, kernel_source, planned},
@@ -21,7 +21,7 @@ pub(super) const MIN_LANES: u32 = 8;
 const MAX_BLOCKS: usize = 24;
 
 /// Columns that a workgroup of that kernel computes.
-const COLUMNS: usize = 128;
+const COLUMNS: usize = 32;
 
 /// Columns that an invocation of `shaders/dense_weight_gradient_software.wgsl` holds, and outputs of a workgroup.
 const GRADIENT_BLOCK: u32 = 64;
@@ -87,31 +87,97 @@ impl Product {
     }
 }
 
+/// Where a layer's packed weights and its partial gradients are, in vectors of four.
+#[derive(Debug, Clone, Copy)]
+struct Places {
+    layer: LayerSpec,
+    forward: usize,
+    transposed: usize,
+    sums: usize,
+}
+
+/// The layers in order, and the tables that kernels read.
+#[derive(Debug, Default)]
+struct Layout {
+    places: Vec<Places>,
+    products: Vec<[u32; 8]>,
+    packed: usize,
+    sums: Vec<[u32; 8]>,
+    sum_vectors: usize,
+}
+
+impl Layout {
+    fn new(layers: impl IntoIterator<Item = LayerSpec>) -> Self {
+        let mut layout = Self::default();
+        for layer in layers {
+            let forward = layout.pack(&Product::of(&layer, 0));
+            let transposed = layout.pack(&Product::transposed(&layer, layer.inputs, 0));
+            let sums = layout.sum_vectors;
+            layout.sum_vectors += SoftwareLayers::partials(&layer) / 4;
+            let [inputs, outputs] = [layer.inputs as u32, layer.outputs as u32];
+            let [weights, bias] = [layer.weights as u32, layer.bias as u32];
+            let end = layout.sum_vectors as u32;
+            layout.sums.push([inputs, outputs, GRADIENT_RUN as u32, end, weights, bias, 0, 0]);
+            layout.places.push(Places { layer, forward, transposed, sums });
+        }
+        let all = layout.sum_vectors as u32;
+        layout.sums.iter_mut().for_each(|layer| layer[6] = all);
+        layout
+    }
+
+    /// The first vector of the product's packed weights.
+    fn pack(&mut self, product: &Product) -> usize {
+        let first = self.packed;
+        self.packed += product.outputs * product.packing();
+        let [inputs, outputs] = [product.inputs as u32, product.outputs as u32];
+        let [by_output, by_input] = product.strides.map(|stride| stride as u32);
+        let (weights, packing) = (product.weights as u32, product.packing() as u32);
+        let end = self.packed as u32;
+        self.products.push([inputs, outputs, weights, packing, by_output, by_input, end, 0]);
+        first
+    }
+
+    fn places(&self, layer: &LayerSpec) -> Result<Places> {
+        self.places.iter().find(|places| places.layer == *layer).copied().ok_or(RenderError::OutOfStep)
+    }
+}
+
 #[derive(Debug)]
 pub(super) struct SoftwareLayers {
     pack_weights: Arc<Kernel>,
     dense_weight_gradient: Arc<Kernel>,
     sum_weight_gradient: Arc<Kernel>,
+    layout: Layout,
+    products: Buffer<[u32; 8]>,
+    sums: Buffer<[u32; 8]>,
     packed: Buffer<[f32; 4]>,
 }
 
 impl SoftwareLayers {
     pub(super) fn plan(layers: impl IntoIterator<Item = LayerSpec>) -> Plan<'static, Self> {
-        let vectors = |layer: LayerSpec| {
-            let products = [Product::of(&layer, GATE), Product::transposed(&layer, layer.inputs, GATE)];
-            products.map(|product| product.outputs * product.packing()).into_iter().max().unwrap_or(0)
-        };
+        let layout = Layout::new(layers);
         planned!(Self {
             pack_weights: Plan::kernel(kernel_source!("pack_weights"), &[]),
             dense_weight_gradient: Plan::kernel(kernel_source!("dense_weight_gradient_software"), &[]),
             sum_weight_gradient: Plan::kernel(kernel_source!("sum_weight_gradient"), &[]),
-            packed: Plan::buffer("packed weights", layers.into_iter().map(vectors).max().unwrap_or(0)),
+            products: Plan::upload("products of layers", layout.products.clone()),
+            sums: Plan::upload("sums of layers", layout.sums.clone()),
+            packed: Plan::buffer("packed weights", layout.packed),
+            layout: Plan::value(layout),
         })
     }
 
     /// Floats of the partial gradients of a layer over one run.
     pub(super) fn partials(layer: &LayerSpec) -> usize {
         (layer.inputs + 1) * layer.outputs.next_multiple_of(4)
+    }
+
+    pub(super) fn load(&self, recorder: &mut Recorder<'_>, parameters: &Buffer<f32>) {
+        recorder.dispatch(
+            &self.pack_weights,
+            &[&self.products, parameters, &self.packed],
+            self.layout.packed.div_ceil(64) as u32,
+        );
     }
 
     pub(super) fn forward(
@@ -123,8 +189,9 @@ impl SoftwareLayers {
         output: &Buffer<f32>,
         activation: Activation,
     ) -> Result<()> {
+        let first = self.layout.places(layer.spec)?.forward;
         let product = Product { outputs: layer.outputs, ..Product::of(layer.spec, activation as u32) };
-        self.record(recorder, layer, product, parameters, [input, parameters, output])
+        self.record(recorder, layer, (product, first), [input, parameters, output])
     }
 
     pub(super) fn input_gradient(
@@ -136,35 +203,26 @@ impl SoftwareLayers {
         d_input: InputGradient<'_>,
     ) -> Result<()> {
         let mode = if d_input.relu.is_some() { GATE } else { Activation::Linear as u32 };
+        let first = self.layout.places(layer.spec)?.transposed;
         let product = Product::transposed(layer.spec, d_input.rows, mode);
         let gate = d_input.relu.unwrap_or(parameters);
-        self.record(recorder, layer, product, parameters, [d_output, gate, d_input.buffer])
+        self.record(recorder, layer, (product, first), [d_output, gate, d_input.buffer])
     }
 
-    /// Records a product of the source, with biases or a gate, into the results.
+    /// Records a product of the source, whose packed weights begin at `first`, with biases or a gate, into the results.
     fn record(
         &self,
         recorder: &mut Recorder<'_>,
         DenseLayer { columns, .. }: DenseLayer<'_>,
-        product: Product,
-        parameters: &Buffer<f32>,
+        (product, first): (Product, usize),
         [source, bias_or_gate, results]: [&Buffer<f32>; 3],
     ) -> Result<()> {
         let (inputs, outputs) = (product.inputs as u32, product.outputs as u32);
         let (blocks, packing) = (product.blocks() as u32, product.packing() as u32);
-        let packer = recorder.uniform(&[
-            [inputs, outputs, product.weights as u32, packing],
-            [product.strides[0] as u32, product.strides[1] as u32, 0, 0],
-        ])?;
-        recorder.dispatch(
-            &self.pack_weights,
-            &[&packer, parameters, &self.packed],
-            (outputs * packing).div_ceil(64),
-        );
         let layer = recorder.uniform(&[
             [inputs, outputs, (columns.capacity / 4) as u32, 4 * blocks],
             [product.input_row as u32, product.output_row as u32, product.output_row as u32, product.bias],
-            [packing, 0, 0, 0],
+            [packing, first as u32, 0, 0],
         ])?;
         let defs = [("BLOCKS", blocks), ("MODE", product.mode)];
         let kernel = recorder.kernel(kernel_source!("dense_software"), &defs)?;
@@ -184,11 +242,12 @@ impl SoftwareLayers {
         d_output: &Buffer<f32>,
         out: WeightGradient<'_>,
     ) -> Result<()> {
-        let run = GRADIENT_RUN as u32;
         let [inputs, outputs] = [layer.inputs as u32, layer.outputs as u32];
+        let first = self.layout.places(layer)?.sums as u32;
         let uniform = recorder.uniform(&[
-            [inputs, outputs, (columns.capacity / 4) as u32, run],
+            [inputs, outputs, (columns.capacity / 4) as u32, GRADIENT_RUN as u32],
             [layer.input_row as u32, layer.output_row as u32, GRADIENT_BLOCK, 0],
+            [first, self.layout.sum_vectors as u32, 0, 0],
         ])?;
         let tiles = layer.outputs.div_ceil(GRADIENT_OUTPUTS);
         let runs = columns.capacity.div_ceil(GRADIENT_RUN);
@@ -197,14 +256,20 @@ impl SoftwareLayers {
             &[&uniform, columns.list, input, d_output, out.partials],
             (tiles * runs) as u32,
         );
-        let uniform = recorder
-            .uniform(&[[inputs, outputs, run, 0], [layer.weights as u32, layer.bias as u32, 1, outputs]])?;
+        Ok(())
+    }
+
+    pub(super) fn sum_weight_gradients(
+        &self,
+        recorder: &mut Recorder<'_>,
+        columns: Columns<'_>,
+        out: WeightGradient<'_>,
+    ) {
         recorder.dispatch(
             &self.sum_weight_gradient,
-            &[&uniform, columns.list, out.partials, out.sums],
-            (Self::partials(layer) / 4).div_ceil(64) as u32,
+            &[&self.sums, columns.list, out.partials, out.sums],
+            self.layout.sum_vectors.div_ceil(64) as u32,
         );
-        Ok(())
     }
 }
 

@@ -381,6 +381,7 @@ impl NeuralGaussians {
             groups,
         );
         let (dense, networks) = (&kernels.dense, &anchors.networks);
+        dense.load(recorder, networks);
         let [opacity, ..] = &self.layout.heads;
         let visible = Columns { list: &on.list, capacity: self.capacity };
         let hidden = visible.layer(&self.layout.hidden).first_outputs(opacity.inputs);

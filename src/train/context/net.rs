@@ -249,6 +249,7 @@ impl ContextNet {
         }
         let columns = on.columns();
         self.sampling.forward(recorder, &self.tables, columns, &sampled, &on.input)?;
+        self.dense.load(recorder, stored);
         let hidden = columns.layer(&layout.hidden);
         self.dense.forward(recorder, hidden, stored, &on.input, &on.hidden, Activation::Relu)?;
         for head in &layout.heads {
