@@ -1,12 +1,12 @@
-// The rate of one attribute group of the sampled anchors: bits of each quantised value under the distribution that the
+// The rate of the attribute groups of the sampled anchors: bits of each quantised value under the distribution that the
 // group's network predicts, with gradients by the network's outputs (stored) and by the rows (added to what is there).
 // Everything is in units of steps, so that a rounded value is its symbol.
 //
-// One sampled anchor an invocation. Values that are not finite have no bits and no gradient.
+// One group of one sampled anchor an invocation. Values that are not finite have no bits and no gradient.
 #import tcgs::gaussian::symbol_bits
 #import tcgs::model::ROW
 #import tcgs::quantise::{Quantised, ROUNDED, quantise, quantise_scaling, scaling_of, stream_of, through_floor}
-#import tcgs::rate::{SPACING, STEP_OCTAVES, Settings, adjustment_of, is_number, spacings}
+#import tcgs::rate::{GROUPS, SPACING, STEP_OCTAVES, Settings, adjustment_of, is_number, spacings}
 
 const LOG_TWO: f32 = 0.69314718;
 
@@ -20,7 +20,7 @@ const ESCAPE_BITS: f32 = 26.0;
 // Bound of a value's derivatives, in steps and octaves, so that one outlier cannot dominate.
 const STEEPEST: f32 = 1e4;
 
-@group(0) @binding(0) var<uniform> settings: Settings;
+@group(0) @binding(0) var<uniform> groups: array<Settings, GROUPS>;
 // How many anchors are sampled, then which.
 @group(0) @binding(1) var<storage, read> list: array<u32>;
 @group(0) @binding(2) var<storage, read> rows: array<f32>;
@@ -35,7 +35,9 @@ const STEEPEST: f32 = 1e4;
 
 @compute @workgroup_size(64)
 fn rate(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) local: u32) {
-    let sampled = (group.x + group.y * 65535u) * 64u + local;
+    let block = group.x + group.y * 65535u;
+    let settings = groups[block % GROUPS];
+    let sampled = block / GROUPS * 64u + local;
     if sampled >= list[0] {
         return;
     }

@@ -1,13 +1,13 @@
-// Sets the sampled anchors' quantisation steps of one attribute group to the base step times the network's adjustment. An
+// Sets the sampled anchors' quantisation steps of the attribute groups to the base steps times the networks' adjustments. An
 // adjustment that is not finite leaves its step unchanged; an overflowed forward pass leaves all unchanged.
 //
 // A separate kernel, because `rate` with the steps would bind more storage buffers than WebGPU allows.
-#import tcgs::rate::{Settings, adjustment_of}
+#import tcgs::rate::{GROUPS, Settings, adjustment_of}
 
-@group(0) @binding(0) var<uniform> settings: Settings;
+@group(0) @binding(0) var<uniform> groups: array<Settings, GROUPS>;
 // How many anchors are sampled, then which.
 @group(0) @binding(1) var<storage, read> list: array<u32>;
-// Column-major; the group's last row is the adjustment.
+// Column-major; a group's last row is the adjustment.
 @group(0) @binding(2) var<storage, read> outputs: array<f32>;
 // Not 0 once a forward pass has overflowed: the step is repeated.
 @group(0) @binding(3) var<storage, read> overflow_flag: array<u32>;
@@ -15,7 +15,9 @@
 
 @compute @workgroup_size(64)
 fn refresh_quant_steps(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) local: u32) {
-    let sampled = (group.x + group.y * 65535u) * 64u + local;
+    let block = group.x + group.y * 65535u;
+    let settings = groups[block % GROUPS];
+    let sampled = block / GROUPS * 64u + local;
     if sampled >= list[0] || overflow_flag[0] != 0u {
         return;
     }

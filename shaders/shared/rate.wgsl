@@ -13,6 +13,10 @@ const SPACING: f32 = 0.21875;
 // Values, means and logarithms of larger magnitude count as not finite.
 const LIMIT: f32 = 1e15;
 
+// Groups of attributes: features, scalings, offsets.
+const GROUPS: u32 = 3u;
+
+// Of one group.
 struct Settings {
     quantisation: Quantisation,
     // first column in a row, channels, place among the groups, first row of outputs

@@ -5,8 +5,8 @@ use crate::{
     train::{
         BaseQuantSteps,
         context::{
-            AnchorSample, ContextLayout, ContextNet, ContextPass, GroupOutputs, GroupStatistics, PlaneSource,
-            QuantisedRows, RateTerm, RoundedNetworks,
+            AnchorSample, ContextLayout, ContextNet, ContextPass, GroupStatistics, PlaneSource,
+            QuantisedRows, RateTerm, RoundedNetworks, SampleOutputs,
         },
     },
 };
@@ -65,11 +65,11 @@ pub(super) fn sample_of(net: &ContextNet, count: usize) -> AnchorSample<'_> {
 }
 
 /// The outputs of a model's last recorded forward pass.
-pub(super) fn outputs_of(net: &ContextNet) -> [GroupOutputs<'_>; 3] {
-    let rows = net.layout().config.output_rows();
-    std::array::from_fn(|group| GroupOutputs {
+pub(super) fn outputs_of(net: &ContextNet) -> SampleOutputs<'_> {
+    let [features, scalings, offsets, _] = net.layout().config.output_rows();
+    SampleOutputs {
         values: net.outputs(),
         gradients: net.output_gradients(),
-        first_row: rows[group],
-    })
+        first_rows: [features, scalings, offsets],
+    }
 }

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use crate::{
     gpu::{Buffer, Device, GpuError, Kernel, Recorder, kernel_source},
-    train::context::{AnchorSample, GroupOutputs},
+    train::context::{AnchorSample, SampleOutputs},
 };
 
 /// The kernels, and the last sample's prediction errors.
@@ -32,7 +32,7 @@ impl FrozenQuantSteps {
         base: [f32; 3],
         steps: &Buffer<f32>,
         sample: AnchorSample<'_>,
-        outputs: [GroupOutputs<'_>; 3],
+        outputs: SampleOutputs<'_>,
         channels: [usize; 3],
     ) -> Result<(), GpuError> {
         let [features, scalings, offsets] = base;
@@ -40,7 +40,7 @@ impl FrozenQuantSteps {
             recorder.uniform(&[[features, scalings, offsets, 0.0], rows(sample, outputs, channels)])?;
         recorder.dispatch(
             &self.freeze_quant_steps,
-            &[&settings, sample.list, steps, outputs[0].values, &self.differences],
+            &[&settings, sample.list, steps, outputs.values, &self.differences],
             sample.count.div_ceil(64) as u32,
         );
         Ok(())
@@ -52,7 +52,7 @@ impl FrozenQuantSteps {
         recorder: &mut Recorder<'_>,
         weights: [f32; 3],
         sample: AnchorSample<'_>,
-        outputs: [GroupOutputs<'_>; 3],
+        outputs: SampleOutputs<'_>,
         channels: [usize; 3],
     ) -> Result<(), GpuError> {
         let [features, scalings, offsets] = weights;
@@ -60,7 +60,7 @@ impl FrozenQuantSteps {
             recorder.uniform(&[[features, scalings, offsets, 0.0], rows(sample, outputs, channels)])?;
         recorder.dispatch(
             &self.frozen_quant_step_gradient,
-            &[&settings, sample.list, &self.differences, outputs[0].gradients],
+            &[&settings, sample.list, &self.differences, outputs.gradients],
             sample.count.div_ceil(64) as u32,
         );
         Ok(())
@@ -68,8 +68,8 @@ impl FrozenQuantSteps {
 }
 
 /// The bits of the adjustments' rows and of the columns that there is room for. A group's adjustment is its last output.
-fn rows(sample: AnchorSample<'_>, outputs: [GroupOutputs<'_>; 3], channels: [usize; 3]) -> [f32; 4] {
-    let row = |group: usize| f32::from_bits((outputs[group].first_row + 2 * channels[group]) as u32);
+fn rows(sample: AnchorSample<'_>, outputs: SampleOutputs<'_>, channels: [usize; 3]) -> [f32; 4] {
+    let row = |group: usize| f32::from_bits((outputs.first_rows[group] + 2 * channels[group]) as u32);
     [row(0), row(1), row(2), f32::from_bits(sample.capacity as u32)]
 }
 
@@ -99,8 +99,7 @@ mod tests {
         let gradients = device.upload("gradients", &vec![9.0_f32; values.len()]).expect("gradients");
         let frozen = FrozenQuantSteps::new(&device, capacity).expect("kernels");
         let sampled = AnchorSample { list: &list, count: 70, capacity };
-        let groups =
-            first_rows.map(|first_row| GroupOutputs { values: &outputs, gradients: &gradients, first_row });
+        let groups = SampleOutputs { values: &outputs, gradients: &gradients, first_rows };
         let weights = [1.0, 0.5, 3.0];
         let mut recorder = device.recorder("frozen steps");
         frozen.record(&mut recorder, base, &on_device, sampled, groups, channels).expect("recorded");

@@ -27,5 +27,5 @@ pub use net::{ContextNet, ContextPass, ContextState};
 pub use planes::PlaneSource;
 pub(super) use quantise::pcg_hash;
 pub use quantise::{Quantisation, QuantisationPhase, QuantisedRows};
-pub use rate::{AnchorSample, GroupOutputs, RateInputs, RateTerm};
+pub use rate::{AnchorSample, RateInputs, RateTerm, SampleOutputs};
 pub use render_networks::RoundedNetworks;

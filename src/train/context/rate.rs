@@ -63,16 +63,17 @@ pub struct AnchorSample<'a> {
     pub capacity: usize,
 }
 
-/// The outputs of a group's network for the sampled anchors, and the gradients by them. Both are column-major with the
-/// sample's capacity: means in base steps, logarithms of standard deviations in octaves of base steps, a step adjustment.
+/// The outputs of the groups' networks for the sampled anchors, and the gradients by them. Both are column-major with the
+/// sample's capacity; of each group means in base steps, logarithms of standard deviations in octaves of base steps, a step
+/// adjustment.
 #[derive(Debug, Clone, Copy)]
-pub struct GroupOutputs<'a> {
+pub struct SampleOutputs<'a> {
     /// The outputs.
     pub values: &'a Buffer<f32>,
     /// Their gradients; those of the sampled anchors are overwritten.
     pub gradients: &'a Buffer<f32>,
-    /// First row of the group in both.
-    pub first_row: usize,
+    /// First row of each group in both.
+    pub first_rows: [usize; GROUPS],
 }
 
 /// What a pass of the rate term measures.
@@ -87,7 +88,7 @@ pub struct RateInputs<'a> {
     /// The anchors whose bits are estimated.
     pub sample: AnchorSample<'a>,
     /// What the context networks predict for them.
-    pub outputs: [GroupOutputs<'a>; GROUPS],
+    pub outputs: SampleOutputs<'a>,
     /// Weight of the bits per element of the sample in the loss.
     pub lambda: f64,
 }
@@ -152,36 +153,38 @@ impl RateTerm {
         let shape = self.shape;
         let columns = [0, shape.scaling_column(), shape.offset_column(), shape.row()];
         let scaled_up = anchors.count as f64 / sample.count.max(1) as f64;
-        let groups = sample.count.div_ceil(64) as u32;
-        for (place, output) in outputs.into_iter().enumerate() {
+        let settings: [RateUniform; GROUPS] = std::array::from_fn(|place| {
             let [first, end] = [columns[place], columns[place + 1]];
-            let settings = recorder.uniform(&[RateUniform {
+            let first_row = outputs.first_rows[place];
+            RateUniform {
                 quantisation: quantisation.uniform(anchors.count),
-                group: [first as u32, (end - first) as u32, place as u32, output.first_row as u32],
+                group: [first as u32, (end - first) as u32, place as u32, first_row as u32],
                 room: [sample.capacity as u32, self.capacity as u32, 0, 0],
                 weights: [self.weight(lambda, sample.count), scaled_up as f32, 0.0, 0.0],
-            }])?;
-            recorder.dispatch(
-                &self.rate,
-                &[
-                    &settings,
-                    sample.list,
-                    &anchors.rows,
-                    &anchors.masks,
-                    output.values,
-                    quantised.log_quant_step_gradients(),
-                    output.gradients,
-                    d_rows,
-                    &self.bits,
-                ],
-                groups,
-            );
-            recorder.dispatch(
-                &self.refresh_quant_steps,
-                &[&settings, sample.list, output.values, overflow_flag, quantised.steps()],
-                groups,
-            );
-        }
+            }
+        });
+        let settings = recorder.uniform(&settings)?;
+        let workgroups = (GROUPS * sample.count.div_ceil(64)) as u32;
+        recorder.dispatch(
+            &self.rate,
+            &[
+                &settings,
+                sample.list,
+                &anchors.rows,
+                &anchors.masks,
+                outputs.values,
+                quantised.log_quant_step_gradients(),
+                outputs.gradients,
+                d_rows,
+                &self.bits,
+            ],
+            workgroups,
+        );
+        recorder.dispatch(
+            &self.refresh_quant_steps,
+            &[&settings, sample.list, outputs.values, overflow_flag, quantised.steps()],
+            workgroups,
+        );
         let room = recorder.uniform(&[[self.capacity as u32, 0, 0, 0]])?;
         recorder.dispatch(&self.sum_bits, &[&room, sample.list, &self.bits, &self.sums], GROUPS as u32);
         Ok(())

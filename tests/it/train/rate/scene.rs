@@ -3,12 +3,12 @@
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 use tcgs::{
-    domain::{AttributeGroup, Lattice},
+    domain::Lattice,
     gpu::{Buffer, Device},
     model::{AnchorRows, Shape, all_offsets},
     render::DeviceAnchors,
     train::context::{
-        AnchorSample, GroupOutputs, Quantisation, QuantisationPhase, QuantisedRows, RateInputs, RateTerm,
+        AnchorSample, Quantisation, QuantisationPhase, QuantisedRows, RateInputs, RateTerm, SampleOutputs,
     },
 };
 
@@ -141,8 +141,9 @@ pub(super) struct OnDevice {
     pub(super) quantised: QuantisedRows,
     pub(super) list: Buffer<u32>,
     pub(super) count: usize,
-    pub(super) outputs: [Buffer<f32>; 3],
-    pub(super) d_outputs: [Buffer<f32>; 3],
+    pub(super) outputs: Buffer<f32>,
+    pub(super) d_outputs: Buffer<f32>,
+    first_rows: [usize; 3],
     pub(super) d_rows: Buffer<f32>,
     pub(super) rate: RateTerm,
     pub(super) overflow_flag: Buffer<u32>,
@@ -152,8 +153,8 @@ pub(super) struct OnDevice {
 /// What every fresh buffer holds, so that a value that is not written shows.
 pub(super) const JUNK: f32 = 1234.5;
 
-/// Rows of other groups before a group's.
-const FIRST_ROW: usize = 2;
+/// Rows of nothing before a group's.
+const GAP: usize = 2;
 
 impl OnDevice {
     /// `d_rendered` are the gradients by the rendered rows.
@@ -161,24 +162,27 @@ impl OnDevice {
         let (shape, count) = (case.shape(), case.sample.len());
         let room = count + 5;
         let list = [vec![count as u32], case.sample.clone(), vec![u32::MAX; 5]].concat();
-        let outputs = AttributeGroup::ALL.map(|group| {
-            let rows = case.outputs[group as usize].first().map_or(0, Vec::len);
-            let mut values = vec![JUNK; (FIRST_ROW + rows) * room];
-            for (place, outputs) in case.outputs[group as usize].iter().enumerate() {
-                for (row, value) in outputs.iter().enumerate() {
-                    values[(FIRST_ROW + row) * room + place] = *value;
+        let mut first_rows = [0; 3];
+        let mut outputs = Vec::new();
+        for (of_group, first_row) in case.outputs.iter().zip(&mut first_rows) {
+            *first_row = outputs.len() / room + GAP;
+            let rows = of_group.first().map_or(0, Vec::len);
+            outputs.resize((*first_row + rows) * room, JUNK);
+            for (place, of_anchor) in of_group.iter().enumerate() {
+                for (row, value) in of_anchor.iter().enumerate() {
+                    outputs[(*first_row + row) * room + place] = *value;
                 }
             }
-            device.upload("outputs", &values).expect("room")
-        });
+        }
         let junk = |len: usize| device.upload("junk", &vec![JUNK; len]).expect("room");
         Self {
             anchors: DeviceAnchors::upload(device, &case.anchors, &[]).expect("anchors"),
             quantised: QuantisedRows::upload(device, shape, &case.steps).expect("room"),
             list: device.upload("list", &list).expect("room"),
             count,
-            d_outputs: [0, 1, 2].map(|group: usize| junk(outputs[group].len())),
-            outputs,
+            d_outputs: junk(outputs.len()),
+            outputs: device.upload("outputs", &outputs).expect("room"),
+            first_rows,
             d_rows: device.upload("gradients", d_rendered).expect("room"),
             rate: RateTerm::plan(shape, room + 3).make(device).expect("the kernels"),
             overflow_flag: device.buffer("overflow flag", 1).expect("room"),
@@ -196,11 +200,8 @@ impl OnDevice {
         self.quantised
             .record_backward(&mut recorder, &self.anchors, quantisation, &self.d_rows)
             .expect("recorded");
-        let outputs = [0, 1, 2].map(|group: usize| GroupOutputs {
-            values: &self.outputs[group],
-            gradients: &self.d_outputs[group],
-            first_row: FIRST_ROW,
-        });
+        let outputs =
+            SampleOutputs { values: &self.outputs, gradients: &self.d_outputs, first_rows: self.first_rows };
         let inputs = RateInputs {
             anchors: &self.anchors,
             quantised: &self.quantised,
@@ -215,11 +216,13 @@ impl OnDevice {
 
     /// Gradients by a group's outputs, by sampled anchor.
     pub(super) fn output_gradients(&self, device: &Device, group: usize) -> Vec<Vec<f64>> {
-        let values = device.read(&self.d_outputs[group]).expect("read");
-        let rows = values.len() / self.room;
-        assert!(values[..FIRST_ROW * self.room].iter().all(|v| *v == JUNK), "other rows are left alone");
+        let values = device.read(&self.d_outputs).expect("read");
+        let first_row = self.first_rows[group];
+        let next = self.first_rows.get(group + 1).map_or(values.len() / self.room, |next| next - GAP);
+        let gap = (first_row - GAP) * self.room..first_row * self.room;
+        assert!(values[gap].iter().all(|v| *v == JUNK), "other rows are left alone");
         (0..self.count)
-            .map(|place| (FIRST_ROW..rows).map(|row| f64::from(values[row * self.room + place])).collect())
+            .map(|place| (first_row..next).map(|row| f64::from(values[row * self.room + place])).collect())
             .collect()
     }
 
