@@ -256,15 +256,13 @@ mod tests {
     #[test]
     fn faults_of_the_store_that_a_client_can_do_something_about_are_not_internal() {
         let full = || io::Error::from(io::ErrorKind::StorageFull);
-        let bucket =
-            object_store::Error::Generic { store: "S3", source: Box::new(io::Error::other("silent")) };
         let scene = DatasetId(uuid::Uuid::from_u128(1));
-        let index = BlobError::Index(StoreError::Database(sqlx::Error::PoolTimedOut));
+        let index = BlobError::Index(StoreError::of_a_silent_database());
         for (fault, expected) in [
             (ProblemResponse::from(StoreError::NoDataset(scene)), ProblemType::SceneNotFound),
             (BlobError::TooLarge { limit: 17 }.into(), ProblemType::BodyTooLarge),
             (index.into(), ProblemType::Busy),
-            (BlobError::Bucket(bucket).into(), ProblemType::Busy),
+            (BlobError::of_a_silent_bucket().into(), ProblemType::Busy),
             (BlobError::Io(full()).into(), ProblemType::StorageFull),
             (BlobError::Io(io::Error::other("damaged")).into(), ProblemType::Internal),
         ] {

@@ -124,6 +124,12 @@ pub enum StoreError {
 }
 
 impl StoreError {
+    /// An error of a database that does not answer.
+    #[cfg(test)]
+    pub(crate) fn of_a_silent_database() -> Self {
+        Self::Database(sqlx::Error::PoolTimedOut)
+    }
+
     /// Whether the disk is full. Nothing was written, and the same call may succeed once there is space.
     #[must_use]
     pub fn is_disk_full(&self) -> bool {

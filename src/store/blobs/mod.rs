@@ -111,6 +111,13 @@ pub enum BlobError {
 }
 
 impl BlobError {
+    /// An error of a bucket that does not answer.
+    #[cfg(test)]
+    pub(crate) fn of_a_silent_bucket() -> Self {
+        let source = Box::new(std::io::Error::other("silent"));
+        Self::Bucket(object_store::Error::Generic { store: "S3", source })
+    }
+
     /// Whether the disk is full.
     #[must_use]
     pub fn is_disk_full(&self) -> bool {
