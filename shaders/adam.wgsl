@@ -3,7 +3,7 @@
 // untouched. If the forward pass overflowed, all are left untouched.
 //
 // An invocation updates four neighbours, so that they share one remainder: lanes divide integers one after the other.
-// Buffers end on 16 bytes, so the last four may reach past the elements but not past the buffer.
+// Buffers end on 16 bytes, so the last four may reach past the elements but not past the buffer. What is there does not change.
 
 #import tcgs::finite::each_below
 
@@ -44,8 +44,9 @@ fn adam(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) lo
         return;
     }
     let gradient = gradients[i];
-    // The square of anything larger overflows f32.
-    let counts = each_below(gradient, 1e18);
+    // The square of anything larger overflows f32. What is behind the last element has gradients that are not this step's.
+    let within = vec4u(4u * i) + vec4u(0u, 1u, 2u, 3u) < vec4u(settings.shape.x);
+    let counts = each_below(gradient, 1e18) & within;
     let g = select(vec4f(0.0), gradient, counts);
     let old_m = first[i];
     let old_v = second[i];

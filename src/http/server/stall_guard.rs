@@ -159,7 +159,8 @@ mod tests {
         assert!(guarded.is_write_vectored(), "as the stream below");
         let sending = async {
             loop {
-                guarded.write_vectored(&[io::IoSlice::new(b"head"), io::IoSlice::new(b"body")]).await?;
+                let pieces = [io::IoSlice::new(b"head"), io::IoSlice::new(b"body")];
+                assert_ne!(guarded.write_vectored(&pieces).await?, 0, "the stream stays open");
             }
         };
         let fault: io::Result<()> = timeout(Duration::from_secs(60), sending).await.expect("given up");

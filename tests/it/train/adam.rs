@@ -132,6 +132,30 @@ fn a_void_step_changes_nothing() {
 }
 
 #[test]
+fn what_is_behind_the_last_element_does_not_learn() {
+    const COUNT: usize = 8;
+    for elements in 4..=COUNT {
+        let device = gpu();
+        let adam = Adam::new(&device).expect("the kernel");
+        let no = device.upload("overflow flag", &[0]).expect("a buffer");
+        let values = device.upload("values", &[0.5_f32; COUNT]).expect("room");
+        let gradients = device.upload("gradients", &[1.0_f32; COUNT]).expect("room");
+        let moments = Moments::plan(COUNT).make(&device).expect("room");
+        let rates = device.upload("rates", &[0.1_f32]).expect("room");
+        let step = AdamStep { number: 1, overflow_flag: &no };
+        let mut recorder = device.recorder("adam");
+        adam.step(&mut recorder, step, &rates, &gradients, &values.first(elements), &moments)
+            .expect("recorded");
+        recorder.submit().expect("submitted");
+        let found =
+            [&values, &moments.first, &moments.second].map(|buffer| device.read(buffer).expect("read"));
+        assert!(found[0][..elements].iter().all(|value| (value - 0.4).abs() < 1e-6), "{found:?}");
+        assert_eq!(found[0][elements..], vec![0.5; COUNT - elements], "of {elements}");
+        assert!(found[1..].iter().all(|moment| moment[elements..].iter().all(|value| *value == 0.0)));
+    }
+}
+
+#[test]
 fn every_element_learns_at_its_own_rate() {
     let device = gpu();
     let adam = Adam::new(&device).expect("the kernel");
