@@ -471,25 +471,21 @@ async fn what_an_administrator_made_for_another_project_is_not_shown_to_a_key_of
     let scene = server.send("POST", "/v1/scenes", |request| {
         request.bearer_auth(&owner.key).header("content-type", "application/zip").body("succeed")
     });
-    let body = json!({ "scene_id": scene.await.expect(201).json()["id"] });
-    let once = async |key: &TestKey| {
-        let fill = |request: reqwest::RequestBuilder| request.bearer_auth(&key.key).json(&body);
-        server.send("POST", "/v1/jobs", |request| fill(request).header("idempotency-key", "once")).await
+    let once = async |key: &TestKey, path: &str, body: &Value| {
+        let fill = |request: reqwest::RequestBuilder| request.bearer_auth(&key.key).json(body);
+        server.send("POST", path, |request| fill(request).header("idempotency-key", path)).await
     };
-    once(&admin).await.expect(201);
-    assert_eq!(once(&admin).await.expect(201).header("idempotency-replayed"), "true");
-    once(&beside).await.expect_problem(404, "job-not-found");
+    let body = json!({ "scene_id": scene.await.expect(201).json()["id"] });
+    once(&admin, "/v1/jobs", &body).await.expect(201);
+    assert_eq!(once(&admin, "/v1/jobs", &body).await.expect(201).header("idempotency-replayed"), "true");
+    once(&beside, "/v1/jobs", &body).await.expect_problem(404, "job-not-found");
 
     let begun = server.send("POST", "/v1/uploads", |request| {
         request.bearer_auth(&owner.key).header("tus-resumable", "1.0.0").header("upload-length", 0)
     });
     let upload = begun.await.expect(201).header("location").to_owned();
     let body = json!({ "upload_id": upload.rsplit('/').next() });
-    let once = async |key: &TestKey| {
-        let fill = |request: reqwest::RequestBuilder| request.bearer_auth(&key.key).json(&body);
-        server.send("POST", "/v1/scenes", |request| fill(request).header("idempotency-key", "a scene")).await
-    };
-    once(&admin).await.expect(201);
-    assert_eq!(once(&admin).await.expect(201).header("idempotency-replayed"), "true");
-    once(&beside).await.expect_problem(404, "scene-not-found");
+    once(&admin, "/v1/scenes", &body).await.expect(201);
+    assert_eq!(once(&admin, "/v1/scenes", &body).await.expect(201).header("idempotency-replayed"), "true");
+    once(&beside, "/v1/scenes", &body).await.expect_problem(404, "scene-not-found");
 }
