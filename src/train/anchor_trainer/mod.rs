@@ -75,9 +75,9 @@ struct Parts {
     scene_scale: SceneScale,
 }
 
-/// Bytes of the anchors' positions in a file; 0 where they cannot be written, which the encoder will say.
-fn position_bytes_of(anchors: &AnchorRows) -> f64 {
-    position_bytes(&anchors.cells).map_or(0.0, |bytes| bytes as f64)
+/// Bytes of the anchors' positions in a file: 0 for the baseline, and where they cannot be written, which the encoder will say.
+fn position_bytes_of(anchors: &AnchorRows, compression: Option<&Compression>) -> f64 {
+    compression.and_then(|_| position_bytes(&anchors.cells).ok()).map_or(0.0, |bytes| bytes as f64)
 }
 
 /// Warns of points that the lattice leaves out, and of cells larger than by the rule.
@@ -164,7 +164,7 @@ impl AnchorTrainer {
             network_moments: Moments::upload(device, &first, &second)?,
             statistics: device.upload("growth statistics", &statistics.values)?,
             masks: masks.transpose()?,
-            position_bytes: compression.as_ref().map_or(0.0, |_| position_bytes_of(anchors)),
+            position_bytes: position_bytes_of(anchors, compression.as_ref()),
             compression,
             shown: None,
             rendered: false,
@@ -285,7 +285,7 @@ impl AnchorTrainer {
             compression.replace(&self.anchors.cells, &state.anchors)?;
         }
         self.shown = None;
-        self.position_bytes = self.compression.as_ref().map_or(0.0, |_| position_bytes_of(&state.anchors));
+        self.position_bytes = position_bytes_of(&state.anchors, self.compression.as_ref());
         self.anchors = state.anchors;
         Ok(())
     }

@@ -380,15 +380,10 @@ impl Compression {
         };
         let [features, scalings, offsets] = context_model.rate.sums(&self.device)?;
         let bits = features * self.feature_share.unwrap_or(1.0) + scalings + offsets;
-        let layout = context_model.net.layout();
-        let stored = if self.schedule.stage(step) < Stage::Rounded {
-            stored_parameters(&ContextLayout::new(ContextConfig {
-                kind: ContextKind::Position,
-                ..layout.config
-            })?)
-        } else {
-            stored_parameters(layout)
-        };
+        let config = context_model.net.layout().config;
+        let selected = self.schedule.stage(step) >= Stage::Rounded;
+        let kind = if selected { config.kind } else { ContextKind::Position };
+        let stored = stored_parameters(&ContextLayout::new(ContextConfig { kind, ..config })?);
         Ok(Some((bits / context_model.sampled as f64, BYTES_PER_PARAMETER * stored as f64)))
     }
 }
