@@ -7,7 +7,7 @@
 
 use rand_pcg::Pcg64;
 
-use super::{Result, Schedule, checkpoint::ModelState, trained::TrainedContext};
+use super::{Result, Schedule, SizeAim, checkpoint::ModelState, trained::TrainedContext};
 use crate::{
     domain::{Camera, CancelFlag, Frame, Scene},
     gpu::{Buffer, Recorder},
@@ -23,6 +23,8 @@ pub(super) struct Step {
     pub fraction: f64,
     /// Weight of the rate term in the loss.
     pub lambda: f64,
+    /// Of a run with a target size.
+    pub size_aim: Option<SizeAim>,
 }
 
 /// The training views, for passes over them that end once the run is cancelled.

@@ -13,7 +13,7 @@ use super::{
     Adam, AdamStep, Decay, DensifySettings, MaskRows, Moments, OffsetMasks, Result, Schedule, Statistics,
     TrainError,
     checkpoint::ModelState,
-    compression::Compression,
+    compression::{Compression, SizeLimit},
     densify::{TrainableAnchors, densify, drop_masked},
     model_trainer::{BitrateSample, FinishedModel, ModelSize, ModelTrainer, Step, Views},
     prune_invisible::prune_invisible,
@@ -255,6 +255,13 @@ impl AnchorTrainer {
         prune_invisible(&self.device, &mut self.neural, shown, anchors, views)
     }
 
+    /// Approximate bytes of the file without attributes and context model.
+    fn fixed_bytes(&self) -> f64 {
+        let masks = BYTES_PER_MASK * (self.anchors.len() * self.shape.offsets) as f64;
+        let networks = BYTES_PER_PARAMETER * self.layout.parameters as f64;
+        OTHER_BYTES + self.position_bytes + masks + networks
+    }
+
     /// Reads back everything that belongs to anchors.
     fn read(&self) -> Result<(TrainableAnchors, Statistics)> {
         let device = &self.device;
@@ -388,12 +395,16 @@ impl ModelTrainer for AnchorTrainer {
         }
         if self.compression.as_ref().is_some_and(|compression| compression.changes_stage_after(step.number)) {
             let (state, _) = self.read()?;
+            let fixed = self.fixed_bytes();
+            let limit =
+                step.size_aim.map(|aim| SizeLimit { bytes: aim.bytes(fixed), octaves: aim.octaves() });
             if let Some(compression) = &mut self.compression {
                 compression.enter_stage(
                     step.number,
                     &self.adam,
                     &state.anchors,
                     &self.device_anchors,
+                    limit,
                     views.cancel,
                 )?;
             }
@@ -415,13 +426,9 @@ impl ModelTrainer for AnchorTrainer {
             Some(compression) => compression.bitrate(step)?,
             None => None,
         };
-        Ok(bitrate.map(|(bits_per_anchor, context_bytes)| {
-            let masks = BYTES_PER_MASK * (self.anchors.len() * self.shape.offsets) as f64;
-            let networks = BYTES_PER_PARAMETER * self.layout.parameters as f64;
-            BitrateSample {
-                bits_per_anchor,
-                other_bytes: OTHER_BYTES + self.position_bytes + masks + networks + context_bytes,
-            }
+        Ok(bitrate.map(|(bits_per_anchor, context_bytes)| BitrateSample {
+            bits_per_anchor,
+            other_bytes: self.fixed_bytes() + context_bytes,
         }))
     }
 

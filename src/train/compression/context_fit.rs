@@ -16,12 +16,12 @@ use super::{
         stored_parameters, stored_pass,
     },
     frozen_quant_steps::FrozenQuantSteps,
-    quant_steps::{adjustments_of, mean_quant_steps, static_adjustments},
+    quant_steps::{SizeLimit, adjustments_of, mean_quant_steps, static_adjustments},
     statistics::group_statistics,
 };
 use crate::{
     domain::{
-        AttributeGroup, CancelFlag, ContextCandidates, ContextKind, PlaneContext,
+        AttributeGroup, CancelFlag, ContextCandidates, ContextFrame, ContextKind, PlaneContext,
         context_model::{GroupNetworks, STEP_OCTAVES},
     },
     gpu::{Buffer, Recorder},
@@ -59,12 +59,12 @@ const FIRST_LATENT: f32 = 0.25;
 const MIN_EDGE: usize = 8;
 
 /// The inputs and buffers that all fits share.
-struct ContextFit<'a> {
-    compression: &'a Compression,
-    quant: &'a QuantState,
-    context_model: &'a ContextModel,
-    anchors: &'a DeviceAnchors,
-    cells: &'a [[i32; 3]],
+pub(super) struct ContextFit<'a> {
+    pub(super) compression: &'a Compression,
+    pub(super) quant: &'a QuantState,
+    pub(super) context_model: &'a ContextModel,
+    pub(super) anchors: &'a DeviceAnchors,
+    pub(super) rows: &'a AnchorRows,
     adam: &'a Adam,
     frozen: FrozenQuantSteps,
     /// Mean of the anchors' step adjustments, in octaves.
@@ -80,42 +80,27 @@ struct ContextFit<'a> {
 }
 
 impl Compression {
-    /// Replaces the context model by the selected one, for the anchors `rows`; does nothing before the context model learns.
+    /// Replaces the context model by the selected one, for the anchors `rows`, and fits quantisation steps to `limit`, if given; does
+    /// nothing before the context model learns.
     pub(super) fn select_context(
         &mut self,
         adam: &Adam,
         anchors: &DeviceAnchors,
         rows: &AnchorRows,
+        limit: Option<SizeLimit>,
         cancel: &CancelFlag,
     ) -> Result<()> {
-        let (Some(quant), Some(context_model)) = (&self.quant, &self.context_model) else { return Ok(()) };
-        let cells = &rows.cells[..];
-        let device = &self.device;
-        let mut recorder = device.recorder("latents of planes");
+        let Some(context_model) = &self.context_model else { return Ok(()) };
+        let mut recorder = self.device.recorder("latents of planes");
         context_model.net.latents_from_planes(&mut recorder)?;
         recorder.submit()?;
-        let share = self.schedule.sample_share.min(MAX_SAMPLED as f64 / cells.len().max(1) as f64);
-        let capacity = ContextNet::capacity(sample_size(cells.len(), share));
         let steps = (f64::from(self.schedule.steps) * FIT_STEPS_PER_STEP) as u32;
-        let usual = mean_quant_steps(&device.read(quant.rows.steps())?);
-        let fit = ContextFit {
-            compression: self,
-            quant,
-            context_model,
-            anchors,
-            cells,
-            adam,
-            frozen: FrozenQuantSteps::new(device, capacity)?,
-            usual: adjustments_of(usual, quant.base),
-            statistics: group_statistics(rows, quant.base),
-            rate: RateTerm::plan(anchors.shape, capacity).make(device)?,
-            overflow_flag: device.buffer("never set", 1)?,
-            d_rows: device.buffer("unused gradients of rows", anchors.rows.len())?,
-            steps: steps.clamp(MIN_FIT_STEPS, MAX_FIT_STEPS),
-            sampled: share,
-            cancel,
-        };
-        let net = fit.cheapest()?;
+        let steps = steps.clamp(MIN_FIT_STEPS, MAX_FIT_STEPS);
+        let Some(fit) = self.context_fit(adam, anchors, rows, steps, cancel)? else { return Ok(()) };
+        let mut net = fit.cheapest()?;
+        if let Some(limit) = limit {
+            net = fit.within(net, &limit)?;
+        }
         let statistics = fit.statistics;
         if let Some(context_model) = &mut self.context_model {
             context_model.net = net;
@@ -123,6 +108,39 @@ impl Compression {
             context_model.renewed = false;
         }
         Ok(())
+    }
+
+    /// A fit of context models, in `steps` steps each, to the anchors `rows`, those of `anchors`; none before the context model learns.
+    pub(super) fn context_fit<'a>(
+        &'a self,
+        adam: &'a Adam,
+        anchors: &'a DeviceAnchors,
+        rows: &'a AnchorRows,
+        steps: u32,
+        cancel: &'a CancelFlag,
+    ) -> Result<Option<ContextFit<'a>>> {
+        let (Some(quant), Some(context_model)) = (&self.quant, &self.context_model) else { return Ok(None) };
+        let device = &self.device;
+        let share = self.schedule.sample_share.min(MAX_SAMPLED as f64 / rows.len().max(1) as f64);
+        let capacity = ContextNet::capacity(sample_size(rows.len(), share));
+        let usual = mean_quant_steps(&device.read(quant.rows.steps())?);
+        Ok(Some(ContextFit {
+            compression: self,
+            quant,
+            context_model,
+            anchors,
+            rows,
+            adam,
+            frozen: FrozenQuantSteps::new(device, capacity)?,
+            usual: adjustments_of(usual, quant.base),
+            statistics: group_statistics(rows, quant.base),
+            rate: RateTerm::plan(anchors.shape, capacity).make(device)?,
+            overflow_flag: device.buffer("never set", 1)?,
+            d_rows: device.buffer("unused gradients of rows", anchors.rows.len())?,
+            steps,
+            sampled: share,
+            cancel,
+        }))
     }
 
     /// Refreshes every anchor's quantisation steps and quantises its row with them, as the file stores it.
@@ -164,29 +182,41 @@ impl Compression {
         };
         let layout = context_model.net.layout();
         let values = context_model.net.save()?.values;
-        let networks: GroupNetworks = AttributeGroup::ALL.map(|group| Some(layout.network(&values, group)));
-        let none = GroupNetworks::default();
-        let (position, own, neighbours) = match layout.config.kind {
-            ContextKind::Position => (networks, none.clone(), none),
-            ContextKind::TriPlane => (none.clone(), networks, none),
-            ContextKind::TriPlaneKnn => (none.clone(), none, networks),
-        };
-        let planes = layout.stored_planes(&values).map(|planes| PlaneContext { planes, own, neighbours });
-        // Tables have one step for all anchors, which training did not round with.
-        let static_steps = static_adjustments(steps, quant.base, STEP_OCTAVES);
-        let static_steps = static_steps.map(|octaves| (octaves - UNTRAINED).max(-STEP_OCTAVES));
+        let candidates = candidates_of(layout, &values, context_model.frame, (steps, quant.base));
         let usual = mean_quant_steps(steps);
-        tracing::debug!(kind = ?layout.config.kind, base = ?quant.base, ?usual, ?static_steps, "steps");
-        Ok(Some(TrainedContext {
-            base_quant_steps: quant.base_quant_steps,
-            candidates: ContextCandidates {
-                frame: context_model.frame,
-                static_steps,
-                position,
-                planes: planes.into_iter().collect(),
-            },
-        }))
+        tracing::debug!(kind = ?layout.config.kind, base = ?quant.base, ?usual, "steps");
+        Ok(Some(TrainedContext { base_quant_steps: quant.base_quant_steps, candidates }))
     }
+}
+
+/// What an encoder may select with a context model: it, or tables at steps for all anchors, those of `steps` over their base.
+pub(super) fn candidates_of(
+    layout: &ContextLayout,
+    values: &[f32],
+    frame: ContextFrame,
+    (steps, base): (&[f32], [f32; 3]),
+) -> ContextCandidates {
+    let (position, planes) = stored_contexts(layout, values);
+    // Tables have one step for all anchors, which training did not round with.
+    let static_steps = static_adjustments(steps, base, STEP_OCTAVES);
+    let static_steps = static_steps.map(|octaves| (octaves - UNTRAINED).max(-STEP_OCTAVES));
+    ContextCandidates { frame, static_steps, position, planes: planes.into_iter().collect() }
+}
+
+/// The networks and the planes of a context model, as an encoder is given them.
+pub(super) fn stored_contexts(
+    layout: &ContextLayout,
+    values: &[f32],
+) -> (GroupNetworks, Option<PlaneContext>) {
+    let networks: GroupNetworks = AttributeGroup::ALL.map(|group| Some(layout.network(values, group)));
+    let none = GroupNetworks::default();
+    let (position, own, neighbours) = match layout.config.kind {
+        ContextKind::Position => (networks, none.clone(), none),
+        ContextKind::TriPlane => (none.clone(), networks, none),
+        ContextKind::TriPlaneKnn => (none.clone(), none, networks),
+    };
+    let planes = layout.stored_planes(values).map(|planes| PlaneContext { planes, own, neighbours });
+    (position, planes)
 }
 
 /// Octaves by which quantisation steps that training did not use are finer than those that it used: the error of a second rounding
@@ -207,7 +237,7 @@ impl ContextFit<'_> {
         let mut add = |what: &str, mut net: ContextNet, planes_learn: bool, rates: Decay| {
             self.fit(&mut net, planes_learn, rates)?;
             let bytes = self.bytes(&mut net)?;
-            tracing::debug!(anchors = self.cells.len(), ?bytes, "attributes and model with {what}");
+            tracing::debug!(anchors = self.rows.len(), ?bytes, "attributes and model with {what}");
             let bytes = bytes.iter().sum::<f64>();
             // The first of equals, which is the trained one.
             if best.as_ref().is_none_or(|(least, _)| bytes < *least) {
@@ -234,7 +264,7 @@ impl ContextFit<'_> {
     /// Bytes of the groups' attributes, then of what the model stores.
     fn bytes(&self, net: &mut ContextNet) -> Result<[f64; 4]> {
         let device = &self.compression.device;
-        let all: Vec<u32> = (0..self.cells.len() as u32).collect();
+        let all: Vec<u32> = (0..self.rows.len() as u32).collect();
         let mut bytes = [0.0, 0.0, 0.0, BYTES_PER_PARAMETER * stored_parameters(net.layout()) as f64];
         for sample in all.chunks(self.rate.capacity().max(1)) {
             let mut recorder = device.recorder("rate of the scene");
@@ -262,9 +292,9 @@ impl ContextFit<'_> {
     }
 
     /// A model of the scene with zero moments.
-    fn model(&self, config: ContextConfig, values: Vec<f32>) -> Result<ContextNet> {
+    pub(super) fn model(&self, config: ContextConfig, values: Vec<f32>) -> Result<ContextNet> {
         let mut net = ContextNet::new(&self.compression.device, config, &ContextState::new(values))?;
-        net.place(&ContextAnchors::new(&config, &self.context_model.frame, self.cells))?;
+        net.place(&ContextAnchors::new(&config, &self.context_model.frame, &self.rows.cells))?;
         Ok(net)
     }
 
@@ -276,7 +306,7 @@ impl ContextFit<'_> {
                 return Err(TrainError::Cancelled);
             }
             let seed = self.compression.schedule.seed;
-            let sample = sample_anchors(seed, step, self.cells.len(), self.sampled);
+            let sample = sample_anchors(seed, step, self.rows.len(), self.sampled);
             let mut recorder = device.recorder("fit of a context");
             self.record(&mut recorder, net, &sample, planes_learn)?;
             net.backward(&mut recorder)?;

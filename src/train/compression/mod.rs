@@ -11,8 +11,11 @@ mod context_fit;
 mod context_model;
 mod frozen_quant_steps;
 mod narrowed_context;
+mod quant_step_fit;
 mod quant_steps;
 mod statistics;
+
+pub(in crate::train) use quant_steps::SizeLimit;
 
 use std::sync::Arc;
 
@@ -136,13 +139,15 @@ impl Compression {
         Ok(())
     }
 
-    /// Prepares the stages that start after `step` for the scene `anchors`. Short runs may skip a stage.
+    /// Prepares the stages that start after `step` for the scene `anchors`. Short runs may skip a stage. With `limit`, quantisation steps
+    /// are fitted to it before everything is rounded.
     pub(in crate::train) fn enter_stage(
         &mut self,
         step: u32,
         adam: &Adam,
         anchors: &AnchorRows,
         device_anchors: &DeviceAnchors,
+        limit: Option<SizeLimit>,
         cancel: &CancelFlag,
     ) -> Result<()> {
         let next = self.schedule.stage(step + 1);
@@ -159,7 +164,7 @@ impl Compression {
             self.model(anchors)?;
         }
         if next == Stage::Rounded {
-            self.select_context(adam, device_anchors, anchors, cancel)?;
+            self.select_context(adam, device_anchors, anchors, limit, cancel)?;
         }
         Ok(())
     }
@@ -177,7 +182,7 @@ impl Compression {
         self.replace(before, anchors)?;
         let device_anchors = DeviceAnchors::upload(&self.device, anchors, networks)?;
         if self.schedule.stage(self.schedule.steps) != Stage::Rounded {
-            self.select_context(adam, &device_anchors, anchors, cancel)?;
+            self.select_context(adam, &device_anchors, anchors, None, cancel)?;
         }
         let Some((rows, steps)) = self.final_rows(&device_anchors, &anchors.cells)? else { return Ok(None) };
         anchors.values = rows;

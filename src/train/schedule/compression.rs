@@ -108,6 +108,8 @@ pub struct CompressionSchedule {
     pub reconstruction: f32,
     /// The inputs of the groups' networks.
     pub kind: ContextKind,
+    /// Whether files may have regressions within an anchor.
+    pub regression: bool,
     /// Whether planes are stored as latents and up-sampling layers instead of directly.
     pub compresses_planes: bool,
 }
@@ -142,6 +144,7 @@ impl CompressionSchedule {
             } else {
                 ContextKind::TriPlaneKnn
             },
+            regression: options.has(Component::Regression),
             compresses_planes: options.has(Component::PlaneCompression)
                 && (steps >= MIN_STEPS_FOR_LAYERS || options.with.contains(&Component::PlaneCompression)),
         })

@@ -397,7 +397,12 @@ impl<'a> Run<'a> {
     }
 
     fn at(&self, number: u32) -> Step {
-        Step { number, fraction: self.schedule.fraction(number), lambda: self.state.lambda() }
+        Step {
+            number,
+            fraction: self.schedule.fraction(number),
+            lambda: self.state.lambda(),
+            size_aim: self.control.as_ref().map(RateControl::aim),
+        }
     }
 
     /// Whether views kept aside are scored after `step`.
