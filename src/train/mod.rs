@@ -40,6 +40,7 @@ pub use adam::{Adam, AdamStep, Moments};
 pub use base_quant_steps::BaseQuantSteps;
 pub use budget::Needs;
 pub use checkpoint::{Checkpoint, CheckpointError, CheckpointFolder, CheckpointSink};
+pub use compression::{ContextFitSettings, fit_contexts};
 pub use densify::{DensifySettings, densify};
 use error::Result;
 pub use error::{ContextError, TrainError};

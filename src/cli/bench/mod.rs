@@ -1,6 +1,7 @@
 //! `tcgs bench`: measurements of this build, one subcommand a file.
 
 mod accuracy;
+mod contexts;
 mod report;
 mod views;
 
@@ -19,6 +20,8 @@ pub(crate) struct Args {
 enum Bench {
     /// Compare the kernels with f64 on hard cases, each with a bound
     Accuracy(accuracy::Args),
+    /// Compare contexts: fit and code models of every kind to parts of finished scenes
+    Contexts(contexts::Args),
     /// Make a declared matrix of runs and report speed against error
     Report(report::Args),
     /// Count frames a second of a finished scene at several sizes
@@ -30,6 +33,7 @@ impl Args {
     pub(super) fn wants_json(&self) -> bool {
         match &self.bench {
             Bench::Accuracy(args) => args.json,
+            Bench::Contexts(args) => args.json,
             Bench::Report(args) => args.json,
             Bench::Views(args) => args.json,
         }
@@ -40,6 +44,7 @@ impl Args {
 pub(crate) fn run(args: &Args) -> Result<Report, CliError> {
     match &args.bench {
         Bench::Accuracy(args) => accuracy::run(args),
+        Bench::Contexts(args) => contexts::run(args),
         Bench::Report(args) => report::run(args),
         Bench::Views(args) => views::run(args),
     }

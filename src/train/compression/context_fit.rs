@@ -229,6 +229,13 @@ fn rounding(quant: &QuantState) -> Quantisation {
 }
 
 impl ContextFit<'_> {
+    /// A newly initialised model with planes of its own, fitted to the scene.
+    pub(super) fn fitted(&self, config: ContextConfig) -> Result<ContextNet> {
+        let mut net = self.fresh(config, None)?;
+        self.fit(&mut net, true, FRESH)?;
+        Ok(net)
+    }
+
     fn cheapest(&self) -> Result<ContextNet> {
         let trained = &self.context_model.net;
         let config = trained.layout().config;

@@ -9,12 +9,14 @@
 mod checkpoint;
 mod context_fit;
 mod context_model;
+mod finished;
 mod frozen_quant_steps;
 mod narrowed_context;
 mod quant_step_fit;
 mod quant_steps;
 mod statistics;
 
+pub use finished::{ContextFitSettings, fit_contexts};
 pub(in crate::train) use quant_steps::SizeLimit;
 
 use std::sync::Arc;

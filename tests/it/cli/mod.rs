@@ -2,6 +2,7 @@
 
 mod backup;
 mod baselines;
+mod bench_contexts;
 mod bench_report;
 mod bench_views;
 mod check;
