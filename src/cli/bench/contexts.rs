@@ -1,6 +1,9 @@
 //! `tcgs bench contexts`: what planes and neighbours save in finished scenes of several sizes, in bytes of whole files.
 
-use std::{path::PathBuf, sync::Arc};
+use std::{
+    path::{Path, PathBuf},
+    sync::Arc,
+};
 
 use serde::Serialize;
 use tcgs::{
@@ -56,7 +59,7 @@ struct Part {
 
 /// Measures every part.
 pub(crate) fn run(args: &Args) -> Result<Report, CliError> {
-    let scenes = args.files.iter().map(read).collect::<Result<Vec<_>, _>>()?;
+    let scenes = args.files.iter().map(|file| read(file)).collect::<Result<Vec<_>, _>>()?;
     let device = Device::new(&args.adapter.adapter).map_err(Problem::from)?;
     let mut contexts = Contexts { adapter: device.adapter_line(), parts: Vec::new() };
     for anchors in &args.anchors {
@@ -65,7 +68,7 @@ pub(crate) fn run(args: &Args) -> Result<Report, CliError> {
     Ok(Report::new(text(&contexts), &contexts))
 }
 
-fn read(file: &PathBuf) -> Result<TrialScene, CliError> {
+fn read(file: &Path) -> Result<TrialScene, CliError> {
     Ok(TrialScene::read(&files::read(file)?)
         .map_err(|problem| problem.in_file(file.display().to_string()))?)
 }

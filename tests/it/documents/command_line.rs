@@ -26,7 +26,7 @@ fn flags_in_the_documents_exist() {
     let (_, commands) = commands.split_once("Commands:").expect("a list of commands");
     let commands = commands.lines().map(str::trim).skip(1).take_while(|line| !line.is_empty());
     let mut known = flags(&help(&["keys", "create"]));
-    for bench in ["report", "views"] {
+    for bench in ["contexts", "report", "views"] {
         known.extend(flags(&help(&["bench", bench])));
     }
     for command in commands.filter_map(|line| line.split(' ').next()).filter(|name| *name != "help") {
