@@ -1,7 +1,8 @@
 #!/usr/bin/env python3
-"""Draws PSNR against file size and against training seconds from the tables of docs/RESULTS.md and docs/LONG_RUNS.md.
+"""Draws PSNR against file size and against training seconds from the tables of docs/RESULTS.md and docs/LONG_RUNS.md, and what
+context models save from those of docs/PLANES.md.
 
-    scripts/plots.py            writes docs/img/quality.svg and docs/img/long.svg
+    scripts/plots.py            writes docs/img/quality.svg, docs/img/long.svg and docs/img/planes.svg
     scripts/plots.py --check    exits with status 1 if a committed figure is not what its tables give
 
 Standard library only. The figures are opaque and have colours for light and dark, so they are legible on any page.
@@ -235,10 +236,69 @@ def draw(figure, document):
     return head + "\n".join(out) + "\n</svg>\n"
 
 
+# Columns of the table of whole files, and how their lines are drawn.
+CONTEXTS = [
+    ("tables", "m3dgs", False),
+    ("planes of 32", "mtcgs", False),
+    ("planes of 64", "mtcgs", True),
+    ("neighbours", "mscaffold", True),
+]
+SIDE_BY_SIDE = "side by side"
+
+
+def draw_planes(document):
+    """Bytes over those with positions alone against anchors: lines through scenes side by side, hollow marks for single ones."""
+    rows = table(document, "### Whole files")
+    left, top, width, height, low, high = 46, 70, 560, 230, -2.0, 18.0
+    first, last = math.log10(4e3), math.log10(1.3e5)
+
+    def place(anchors, percent):
+        x = left + width * (math.log10(anchors) - first) / (last - first)
+        return x, top + height * (high - percent) / (high - low)
+
+    out = [f'<text class="name" x="{left}" y="24">Bytes of a file over those with positions alone</text>']
+    out.append(f'<text x="{left}" y="42">lines: scenes side by side; hollow: single scenes; planes of 128 are beyond the figure</text>')
+    out.append(f'<rect class="rule" x="{left}" y="{top}" width="{width}" height="{height}"/>')
+    for percent in range(0, int(high), 5):
+        _, y = place(1e4, percent)
+        out.append(f'<path class="rule" d="M{left} {y:.1f}h{width}"/>')
+        out.append(f'<text x="{left - 5}" y="{y + 4:.1f}" text-anchor="end">{percent:+d} %</text>')
+    for anchors in (5_000, 10_000, 20_000, 50_000, 100_000):
+        x, _ = place(anchors, 0)
+        out.append(f'<path class="rule" d="M{x:.1f} {top + height}v4"/>')
+        label = f"{anchors // 1000} 000"
+        out.append(f'<text x="{x:.1f}" y="{top + height + 16}" text-anchor="middle">{label}</text>')
+    for column, model, dashed in CONTEXTS:
+        kind = model.removeprefix("m")
+        points = []
+        for row in rows:
+            x, y = place(int(row["anchors"]), float(row[column].removesuffix(" %")))
+            title = f'{row["scenes"]}, {row["anchors"]} anchors, {column}: {row[column]}'
+            is_line = row["scenes"].endswith(SIDE_BY_SIDE)
+            points += [(x, y)] if is_line else []
+            out.append(mark(kind, x, y, not is_line, title))
+        out.append(line(kind, points, dashed))
+    for number, (column, model, dashed) in enumerate(CONTEXTS):
+        x, y = left + width + 14, top + 14 + 20 * number
+        out.append(line(model.removeprefix("m"), [(x, y - 4), (x + 24, y - 4)], dashed))
+        out.append(f'<text x="{x + 30}" y="{y}">{column}</text>')
+    out.append(f'<text x="{left + width}" y="{top + height + 32}" text-anchor="end">anchors</text>')
+    size = (760, top + height + 44)
+    head = (
+        f'<svg xmlns="http://www.w3.org/2000/svg" width="{size[0]}" height="{size[1]}" viewBox="0 0 {size[0]} {size[1]}" role="img">\n'
+        "<title>Bytes of files with tables, planes and neighbours over those with positions, against the number of anchors</title>\n"
+        f"<style>{STYLE}</style>\n"
+        f'<rect class="page" width="{size[0]}" height="{size[1]}"/>\n'
+    )
+    return head + "\n".join(out) + "\n</svg>\n"
+
+
 def main():
-    for figure in FIGURES:
-        image = DOCS / figure.image
-        drawn = draw(figure, (DOCS / figure.tables).read_text(encoding="utf-8"))
+    drawings = [(figure.image, figure.tables, lambda text, figure=figure: draw(figure, text)) for figure in FIGURES]
+    drawings.append(("img/planes.svg", "PLANES.md", draw_planes))
+    for path, tables, drawing in drawings:
+        image = DOCS / path
+        drawn = drawing((DOCS / tables).read_text(encoding="utf-8"))
         if "--check" not in sys.argv[1:]:
             image.write_text(drawn, encoding="utf-8")
         elif image.read_text(encoding="utf-8") != drawn:

@@ -1,4 +1,4 @@
-//! The figure of the README shows the tables of docs/RESULTS.md.
+//! The figures of the documents show the tables of docs/RESULTS.md, docs/LONG_RUNS.md and docs/PLANES.md.
 
 use std::process::Command;
 
