@@ -76,7 +76,7 @@ pub(super) struct ContextFit<'a> {
     d_rows: Buffer<f32>,
     steps: u32,
     sampled: f64,
-    cancel: &'a CancelFlag,
+    pub(super) cancel: &'a CancelFlag,
 }
 
 impl Compression {

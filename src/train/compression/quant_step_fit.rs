@@ -13,7 +13,7 @@ use crate::{
     domain::{AnchorScene, Background, context_model::STEP_OCTAVES},
     model::NetworkLayout,
     train::{
-        Result,
+        Result, TrainError,
         context::{ContextLayout, ContextNet},
     },
 };
@@ -30,6 +30,9 @@ const CONTAINER_BYTES: u64 = 820;
 impl ContextFit<'_> {
     /// Changes all anchors' quantisation steps, and what the model predicts of them, by the octaves with which the file comes closest
     /// to the bytes of `limit` without exceeding them; by none if it cannot be coded.
+    ///
+    /// # Errors
+    /// Cancellation before the next file; errors of the device.
     pub(super) fn within(&self, net: ContextNet, limit: &SizeLimit) -> Result<ContextNet> {
         let (device, quant) = (&self.compression.device, self.quant);
         let attempt = Attempt {
@@ -41,7 +44,12 @@ impl ContextFit<'_> {
             values: net.save()?.values,
             layout: net.layout(),
         };
-        let Some(octaves) = closest(limit, &mut |octaves| attempt.bytes(octaves)) else { return Ok(net) };
+        let mut bytes_at = |octaves| if self.cancel.is_cancelled() { None } else { attempt.bytes(octaves) };
+        let octaves = closest(limit, &mut bytes_at);
+        if self.cancel.is_cancelled() {
+            return Err(TrainError::Cancelled);
+        }
+        let Some(octaves) = octaves else { return Ok(net) };
         if octaves == 0.0 {
             return Ok(net);
         }
