@@ -174,6 +174,17 @@ class Point:
         )
 
 
+def page(width, height, title, content):
+    """A figure of these elements on its page."""
+    head = (
+        f'<svg xmlns="http://www.w3.org/2000/svg" width="{width}" height="{height}" viewBox="0 0 {width} {height}" role="img">\n'
+        f"<title>{title}</title>\n"
+        f"<style>{STYLE}</style>\n"
+        f'<rect class="page" width="{width}" height="{height}"/>\n'
+    )
+    return head + "\n".join(content) + "\n</svg>\n"
+
+
 def draw(figure, document):
     runs, exports = table(document, "### Runs"), table(document, "#### Exports")
     exports = [row for row in exports if row["model"] == "3dgs" and row["format"] in CONVERTED]
@@ -226,22 +237,16 @@ def draw(figure, document):
                 out.append(mark(model, x, y, False, point.title(name)))
     captions = [(TOP - 24, "PSNR in dB against bytes of the file"), (SECOND_ROW - 8, "PSNR in dB against seconds of training")]
     out += [f'<text x="{LEFT}" y="{y}">{caption}</text>' for y, caption in captions]
-    height = SECOND_ROW + HEIGHT + 30
-    head = (
-        f'<svg xmlns="http://www.w3.org/2000/svg" width="{WIDTH}" height="{height}" viewBox="0 0 {WIDTH} {height}" role="img">\n'
-        f"<title>PSNR of 3dgs, scaffold and tcgs on {figure.sets}, against file size and against training time</title>\n"
-        f"<style>{STYLE}</style>\n"
-        f'<rect class="page" width="{WIDTH}" height="{height}"/>\n'
-    )
-    return head + "\n".join(out) + "\n</svg>\n"
+    title = f"PSNR of 3dgs, scaffold and tcgs on {figure.sets}, against file size and against training time"
+    return page(WIDTH, SECOND_ROW + HEIGHT + 30, title, out)
 
 
 # Columns of the table of whole files, and how their lines are drawn.
 CONTEXTS = [
-    ("tables", "m3dgs", False),
-    ("planes of 32", "mtcgs", False),
-    ("planes of 64", "mtcgs", True),
-    ("neighbours", "mscaffold", True),
+    ("tables", "3dgs", False),
+    ("planes of 32", "tcgs", False),
+    ("planes of 64", "tcgs", True),
+    ("neighbours", "scaffold", True),
 ]
 SIDE_BY_SIDE = "side by side"
 
@@ -269,28 +274,21 @@ def draw_planes(document):
         label = f"{anchors // 1000} 000"
         out.append(f'<text x="{x:.1f}" y="{top + height + 16}" text-anchor="middle">{label}</text>')
     for column, model, dashed in CONTEXTS:
-        kind = model.removeprefix("m")
         points = []
         for row in rows:
             x, y = place(int(row["anchors"]), float(row[column].removesuffix(" %")))
             title = f'{row["scenes"]}, {row["anchors"]} anchors, {column}: {row[column]}'
             is_line = row["scenes"].endswith(SIDE_BY_SIDE)
             points += [(x, y)] if is_line else []
-            out.append(mark(kind, x, y, not is_line, title))
-        out.append(line(kind, points, dashed))
+            out.append(mark(model, x, y, not is_line, title))
+        out.append(line(model, points, dashed))
     for number, (column, model, dashed) in enumerate(CONTEXTS):
         x, y = left + width + 14, top + 14 + 20 * number
-        out.append(line(model.removeprefix("m"), [(x, y - 4), (x + 24, y - 4)], dashed))
+        out.append(line(model, [(x, y - 4), (x + 24, y - 4)], dashed))
         out.append(f'<text x="{x + 30}" y="{y}">{column}</text>')
     out.append(f'<text x="{left + width}" y="{top + height + 32}" text-anchor="end">anchors</text>')
-    size = (760, top + height + 44)
-    head = (
-        f'<svg xmlns="http://www.w3.org/2000/svg" width="{size[0]}" height="{size[1]}" viewBox="0 0 {size[0]} {size[1]}" role="img">\n'
-        "<title>Bytes of files with tables, planes and neighbours over those with positions, against the number of anchors</title>\n"
-        f"<style>{STYLE}</style>\n"
-        f'<rect class="page" width="{size[0]}" height="{size[1]}"/>\n'
-    )
-    return head + "\n".join(out) + "\n</svg>\n"
+    title = "Bytes of files with tables, planes and neighbours over those with positions, against the number of anchors"
+    return page(760, top + height + 44, title, out)
 
 
 def main():

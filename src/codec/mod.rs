@@ -89,6 +89,14 @@ pub struct Provenance {
     pub settings: serde_json::Value,
 }
 
+impl Provenance {
+    /// Of files that are only measured.
+    #[must_use]
+    pub fn unstated() -> Self {
+        Self { generator: String::new(), dataset: None, adapter: None, settings: serde_json::Value::Null }
+    }
+}
+
 /// How finely attributes are quantised.
 #[derive(Debug, Clone, PartialEq)]
 pub struct EncodeSettings {

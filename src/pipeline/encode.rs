@@ -17,8 +17,8 @@ use crate::{
         Provenance, RegressionSearch,
     },
     domain::{
-        AnchorScene, ByteBudget, Choices, CodingEfficiency, Component, GroupQstepLog2, ModelKind, Problem,
-        ProblemType, Scene, TrainOptions,
+        AnchorScene, ByteBudget, Choices, CodingEfficiency, GroupQstepLog2, ModelKind, Problem, ProblemType,
+        Scene, TrainOptions,
     },
     train::{BaseQuantSteps, Trained, TrainedContext},
 };
@@ -134,10 +134,7 @@ impl Encoder<'_> {
     fn encode_attempt(&self, attempt: EncodeAttempt<'_>, steps: BaseQuantSteps) -> Result<Encoded, JobError> {
         let EncodeAttempt { scene, coarser, search, max_bytes } = attempt;
         let options = TrainOptions { max_bytes, ..self.options.clone() };
-        let regression = match options.has(Component::Regression) {
-            true => RegressionSearch::WhereItPays,
-            false => RegressionSearch::Never,
-        };
+        let regression = RegressionSearch::of(&options);
         let settings = EncodeSettings {
             background: self.options.background,
             feature_step: steps.feature,

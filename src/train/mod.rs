@@ -47,7 +47,7 @@ pub use error::{ContextError, TrainError};
 pub use loss::{ImageLoss, LossSums};
 pub use masks::{FIRST_LOGIT, MaskRows, OffsetMasks};
 pub use memory_estimate::{Estimate, OverBudget};
-pub use rate_control::{RateControl, RateControlState, SizeAim};
+pub use rate_control::{RateControl, RateControlState, SizeAim, SizeLimit};
 pub use schedule::{
     BaseQuantStepRule, CompressionSchedule, Decay, DecayShape, MaskSchedule, Pace, Schedule, Stage,
     schedule_table,

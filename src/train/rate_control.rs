@@ -63,17 +63,22 @@ pub struct SizeAim {
 }
 
 impl SizeAim {
-    /// The file's bytes, `fixed` of which do not depend on quantisation.
+    /// The limit of a file `fixed` bytes of which do not depend on quantisation.
     #[must_use]
-    pub fn bytes(&self, fixed: f64) -> f64 {
-        self.target.max(MIN_TARGET * fixed)
+    pub fn limit(&self, fixed: f64) -> SizeLimit {
+        // Never finer than without a target.
+        let finest = if self.may_be_finer { -FINER_OCTAVES } else { 0.0 };
+        SizeLimit { bytes: self.target.max(MIN_TARGET * fixed), octaves: finest..=COARSER_OCTAVES }
     }
+}
 
-    /// Octaves by which all quantisation steps may become coarser, or finer where less than zero: never finer than without a target.
-    #[must_use]
-    pub fn octaves(&self) -> RangeInclusive<f32> {
-        if self.may_be_finer { -FINER_OCTAVES..=COARSER_OCTAVES } else { 0.0..=COARSER_OCTAVES }
-    }
+/// The file that quantisation steps are fitted to.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SizeLimit {
+    /// Its bytes.
+    pub bytes: f64,
+    /// Octaves by which all quantisation steps may become coarser, or finer where less than zero.
+    pub octaves: RangeInclusive<f32>,
 }
 
 /// The state of a controller, as bits, since JSON does not preserve all numbers.
@@ -293,11 +298,11 @@ mod tests {
     #[test]
     fn quantisation_steps_become_finer_only_where_a_raised_lambda_saved_too_much() {
         let mut control = RateControl::new(1e-3, 10_000, WINDOW);
-        assert_eq!(control.aim().octaves(), 0.0..=COARSER_OCTAVES);
+        assert_eq!(control.aim().limit(0.0).octaves, 0.0..=COARSER_OCTAVES);
         control.observe(1500, 20_000.0, 0.0);
-        assert_eq!(control.aim().octaves(), -FINER_OCTAVES..=COARSER_OCTAVES);
-        assert!(control.aim().bytes(0.0) < TARGET_SHARE * 10_000.0, "the file grows again");
-        assert_eq!(control.aim().bytes(1e6), MIN_TARGET * 1e6, "as for lambda");
+        assert_eq!(control.aim().limit(0.0).octaves, -FINER_OCTAVES..=COARSER_OCTAVES);
+        assert!(control.aim().limit(0.0).bytes < TARGET_SHARE * 10_000.0, "the file grows again");
+        assert_eq!(control.aim().limit(1e6).bytes, MIN_TARGET * 1e6, "as for lambda");
     }
 
     #[test]

@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::domain::context_model::ContextKind;
+use crate::domain::{Component, TrainOptions, context_model::ContextKind};
 
 /// How the symbols of an attribute group are predicted.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -53,6 +53,14 @@ pub enum RegressionSearch {
     WhereItPays,
     /// In no group.
     Never,
+}
+
+impl RegressionSearch {
+    /// As the options of a run ask.
+    #[must_use]
+    pub fn of(options: &TrainOptions) -> Self {
+        if options.has(Component::Regression) { Self::WhereItPays } else { Self::Never }
+    }
 }
 
 /// How an encoder chooses contexts.

@@ -132,12 +132,7 @@ fn code(
         offset_step: steps.offset,
         context: ContextSettings { search, ..ContextSettings::default() },
         background: Background::Black,
-        provenance: Provenance {
-            generator: String::new(),
-            dataset: None,
-            adapter: None,
-            settings: serde_json::Value::Null,
-        },
+        provenance: Provenance::unstated(),
     };
     encode(scene, candidates, &settings)
         .map_err(|fault| Problem::new(ProblemType::NotEncodable, fault.to_string()))

@@ -13,7 +13,7 @@ use super::{
     Adam, AdamStep, Decay, DensifySettings, MaskRows, Moments, OffsetMasks, Result, Schedule, Statistics,
     TrainError,
     checkpoint::ModelState,
-    compression::{Compression, SizeLimit},
+    compression::Compression,
     densify::{TrainableAnchors, densify, drop_masked},
     model_trainer::{BitrateSample, FinishedModel, ModelSize, ModelTrainer, Step, Views},
     prune_invisible::prune_invisible,
@@ -395,9 +395,7 @@ impl ModelTrainer for AnchorTrainer {
         }
         if self.compression.as_ref().is_some_and(|compression| compression.changes_stage_after(step.number)) {
             let (state, _) = self.read()?;
-            let fixed = self.fixed_bytes();
-            let limit =
-                step.size_aim.map(|aim| SizeLimit { bytes: aim.bytes(fixed), octaves: aim.octaves() });
+            let limit = step.size_aim.map(|aim| aim.limit(self.fixed_bytes()));
             if let Some(compression) = &mut self.compression {
                 compression.enter_stage(
                     step.number,

@@ -16,7 +16,7 @@ use super::{
         stored_parameters, stored_pass,
     },
     frozen_quant_steps::FrozenQuantSteps,
-    quant_steps::{SizeLimit, adjustments_of, mean_quant_steps, static_adjustments},
+    quant_steps::{adjustments_of, mean_quant_steps, static_adjustments},
     statistics::group_statistics,
 };
 use crate::{
@@ -28,7 +28,7 @@ use crate::{
     model::AnchorRows,
     render::{DeviceAnchors, RenderError},
     train::{
-        Adam, AdamStep, Decay, Result, TrainError, TrainedContext,
+        Adam, AdamStep, Decay, Result, SizeLimit, TrainError, TrainedContext,
         context::{
             ContextAnchors, ContextConfig, ContextLayout, ContextLearningRates, ContextNet, ContextState,
             GroupStatistics, PlaneConfig, Quantisation, QuantisationPhase, RateInputs, RateTerm,

@@ -7,7 +7,7 @@ use std::sync::Arc;
 
 use super::{Compression, context_fit::stored_contexts};
 use crate::{
-    domain::{AnchorScene, CancelFlag, ContextCandidates, TrainOptions},
+    domain::{AnchorScene, CancelFlag, ContextCandidates, ContextKind, TrainOptions},
     gpu::Device,
     model::{AnchorRows, NetworkLayout, Shape},
     render::DeviceAnchors,
@@ -44,6 +44,8 @@ pub fn fit_contexts(
     let Some(schedule) = CompressionSchedule::new(&options, Schedule::new(&options).steps) else {
         return Ok(Vec::new());
     };
+    // The run's own model is not fitted, so it need not find neighbours.
+    let schedule = CompressionSchedule { kind: ContextKind::Position, ..schedule };
     let rows = AnchorRows::from_scene(scene);
     let networks = NetworkLayout::new(Shape::of(scene))
         .from_networks(&scene.networks)

@@ -17,7 +17,6 @@ mod quant_steps;
 mod statistics;
 
 pub use finished::{ContextFitSettings, fit_contexts};
-pub(in crate::train) use quant_steps::SizeLimit;
 
 use std::sync::Arc;
 
@@ -39,7 +38,8 @@ use crate::{
     model::{AnchorRows, NetworkLayout, Shape},
     render::DeviceAnchors,
     train::{
-        Adam, AdamStep, BaseQuantSteps, CompressionSchedule, OffsetMasks, Result, Stage, TrainedContext,
+        Adam, AdamStep, BaseQuantSteps, CompressionSchedule, OffsetMasks, Result, SizeLimit, Stage,
+        TrainedContext,
         context::{
             ContextAnchors, ContextConfig, ContextLayout, ContextLearningRates, ContextNet, ContextPass,
             ContextState, GroupStatistics, PlaneSource, Quantisation, QuantisationPhase, QuantisedRows,

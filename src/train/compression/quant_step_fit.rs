@@ -4,16 +4,13 @@
 //! cost, which it cannot do for what is removed from the finished scene. Sizes are those of real files, since estimates know nothing
 //! of what the encoder saves by regressions.
 
-use super::{
-    context_fit::{ContextFit, candidates_of},
-    quant_steps::SizeLimit,
-};
+use super::context_fit::{ContextFit, candidates_of};
 use crate::{
-    codec::{ContextSearch, ContextSettings, EncodeSettings, Provenance, RegressionSearch, encode},
+    codec::{ContextSearch, ContextSettings, EncodeSettings, Provenance, encode},
     domain::{AnchorScene, Background, context_model::STEP_OCTAVES},
     model::NetworkLayout,
     train::{
-        Result, TrainError,
+        Result, SizeLimit, TrainError,
         context::{ContextLayout, ContextNet},
     },
 };
@@ -79,28 +76,20 @@ impl Attempt<'_> {
         let steps = coarser(steps, fit.quant.base, octaves);
         let frame = fit.context_model.frame;
         let candidates = candidates_of(layout, &values, frame, (&steps, fit.quant.base));
-        let regression = match fit.compression.schedule.regression {
-            true => RegressionSearch::WhereItPays,
-            false => RegressionSearch::Never,
-        };
+        let regression = fit.compression.schedule.regression;
         let settings = EncodeSettings {
             background: Background::Black,
             feature_step: base.feature,
             scaling_step: base.scaling,
             offset_step: base.offset,
             context: ContextSettings { search: ContextSearch::Cheapest, regression, coarser: [0; 3] },
-            provenance: Provenance {
-                generator: String::new(),
-                dataset: None,
-                adapter: None,
-                settings: serde_json::Value::Null,
-            },
+            provenance: Provenance::unstated(),
         };
         let counts = encode(scene, Some(&candidates), &settings)
             .inspect_err(|fault| tracing::debug!(octaves, "the scene cannot be coded: {fault}"))
             .ok()?
             .byte_counts;
-        let bytes = counts.total - counts.container + CONTAINER_BYTES.max(counts.container);
+        let bytes = counts.total + CONTAINER_BYTES.saturating_sub(counts.container);
         tracing::debug!(octaves, bytes, "a file with other quantisation steps");
         Some(bytes as f64)
     }

@@ -1,17 +1,8 @@
-//! The quantisation steps of anchors across growth and pruning, and what limits them.
+//! The quantisation steps of anchors across growth and pruning.
 
-use std::{collections::HashMap, ops::RangeInclusive};
+use std::collections::HashMap;
 
 use crate::domain::context_model::STEP_OCTAVES;
-
-/// The file that a run with a target size is to end with.
-#[derive(Debug, Clone, PartialEq)]
-pub(in crate::train) struct SizeLimit {
-    /// Its bytes.
-    pub(in crate::train) bytes: f64,
-    /// Octaves by which all steps may change.
-    pub(in crate::train) octaves: RangeInclusive<f32>,
-}
 
 /// The steps `[N][3]` of the anchors at `cells`: anchors that were among `before` keep theirs, new ones have `initial`.
 pub(super) fn carry_quant_steps(

@@ -3,7 +3,10 @@
 //! Invariant: the stages follow each other in the order of [`Stage`].
 
 use super::{Decay, Pace};
-use crate::domain::{Component, ContextKind, ModelKind, Preset, TrainOptions};
+use crate::{
+    codec::RegressionSearch,
+    domain::{Component, ContextKind, ModelKind, Preset, TrainOptions},
+};
 
 /// Share of the anchors whose bits a step estimates (METHOD.md §4.5).
 const SAMPLE_SHARE: f64 = 0.15;
@@ -108,8 +111,8 @@ pub struct CompressionSchedule {
     pub reconstruction: f32,
     /// The inputs of the groups' networks.
     pub kind: ContextKind,
-    /// Whether files may have regressions within an anchor.
-    pub regression: bool,
+    /// Whether files have regressions within an anchor.
+    pub regression: RegressionSearch,
     /// Whether planes are stored as latents and up-sampling layers instead of directly.
     pub compresses_planes: bool,
 }
@@ -144,7 +147,7 @@ impl CompressionSchedule {
             } else {
                 ContextKind::TriPlaneKnn
             },
-            regression: options.has(Component::Regression),
+            regression: RegressionSearch::of(options),
             compresses_planes: options.has(Component::PlaneCompression)
                 && (steps >= MIN_STEPS_FOR_LAYERS || options.with.contains(&Component::PlaneCompression)),
         })

@@ -37,12 +37,7 @@ fn file(trial: &TrialScene, candidates: Option<&ContextCandidates>, choice: Cont
         scaling_step: trial.steps.scaling,
         offset_step: trial.steps.offset,
         context: ContextSettings { search: ContextSearch::Fixed(choice), ..ContextSettings::default() },
-        provenance: Provenance {
-            generator: String::new(),
-            dataset: None,
-            adapter: None,
-            settings: serde_json::Value::Null,
-        },
+        provenance: Provenance::unstated(),
     };
     encode(&trial.scene, candidates, &settings).expect("a file")
 }
