@@ -85,7 +85,7 @@ impl Choices {
         let points =
             format!("{} {}", self.points, if self.random_points { "random points" } else { "points" });
         let because = match voxel {
-            Voxel::Auto => format!("a sixteenth of the median spacing of {points}"),
+            Voxel::Auto => format!("by the median spacing of {points}"),
             Voxel::Published => format!("the published rule, over {points}"),
             Voxel::Edge(asked) if f64::from(edge) > 1.001 * asked => {
                 format!("the least that reaches across {points}; the option's {asked} does not")
@@ -146,7 +146,7 @@ mod tests {
         assert_eq!(
             said,
             [
-                "voxel 0.25: a sixteenth of the median spacing of 5000 points",
+                "voxel 0.25: by the median spacing of 5000 points",
                 "anchors at most 40000: the preset's number fits the adapter and the memory",
                 "steps 1267 of 2000: 2 training views kept aside stopped gaining at step 900; 733 steps fewer gave up \
                  about 0.12 dB",

@@ -16,8 +16,6 @@ use super::{
 };
 use crate::domain::Lattice;
 
-/// Edge of the cells whose Gaussians become one anchor, in lattice cells; a crowded cell is halved.
-const CELL: i32 = 24;
 /// What the opacity network says of an offset without a Gaussian, before its tanh.
 const TRANSPARENT: f64 = -0.3;
 /// Opacity below which a Gaussian is left out, unless all are below it.
@@ -102,13 +100,14 @@ fn nearest_to_the_axes(quat: Quat, log_scale: [f32; 3]) -> (Quat, [f32; 3]) {
 }
 
 /// Anchors and networks that make about the visible Gaussians of `rows`, at most `max_anchors`, on a lattice by `rule` for their
-/// means; what no Gaussian says is drawn from `rng`.
+/// means; what no Gaussian says is drawn from `rng`. Gaussians within `cell` lattice cells become one anchor; a crowded cell is halved.
 ///
 /// # Errors
 /// [`InitError`] for no Gaussians, or none whose values are all finite.
 pub fn anchors_from_gaussians(
     rows: &GaussianRows,
     rule: impl FnOnce(&[[f32; 3]]) -> VoxelRule,
+    cell: i32,
     shape: Shape,
     max_anchors: usize,
     units: PassingUnits,
@@ -128,7 +127,7 @@ pub fn anchors_from_gaussians(
     let points: Vec<[f32; 3]> = members.iter().map(|member| member.mean.to_array()).collect();
     let lattice = choose_lattice(&points, rule(&points));
     members.retain(|member| cell_within(&lattice, member.mean.to_array()).is_some());
-    let groups = groups(&lattice, &members, shape.offsets, max_anchors);
+    let groups = groups(&lattice, &members, cell, shape.offsets, max_anchors);
     let mut anchors = AnchorRows {
         shape,
         lattice,
@@ -152,12 +151,12 @@ struct Group {
     cell: i32,
 }
 
-/// Gaussians by cell, at most `most` in each and at most `max_groups` cells, but at least one. Where the limit does not allow to
+/// Gaussians by cells of an edge of `cell`, at most `most` in each and at most `max_groups` cells, but at least one. Where the limit does not allow to
 /// divide crowded cells, only their weightiest are kept.
-fn groups(lattice: &Lattice, members: &[Member], most: usize, max_groups: usize) -> Vec<Group> {
+fn groups(lattice: &Lattice, members: &[Member], cell: i32, most: usize, max_groups: usize) -> Vec<Group> {
     let mut found = Vec::new();
-    split(lattice, members.to_vec(), most, CELL, 1, &mut found);
-    let mut cell = CELL;
+    split(lattice, members.to_vec(), most, cell, 1, &mut found);
+    let mut cell = cell;
     while found.len() > max_groups.max(1) && cell < MAX_CELL {
         found.clear();
         split(lattice, members.to_vec(), most, cell, cell, &mut found);
@@ -293,7 +292,7 @@ mod tests {
     fn begin_with(rows: &GaussianRows, max_anchors: usize, units: PassingUnits) -> FirstAnchors {
         let rule = |means: &[[f32; 3]]| VoxelRule::OfSpacing(1.0 / 16.0).for_points(means, 1.0);
         let mut rng = Pcg64::seed_from_u64(1);
-        anchors_from_gaussians(rows, rule, SHAPE, max_anchors, units, &mut rng).expect("anchors")
+        anchors_from_gaussians(rows, rule, 24, SHAPE, max_anchors, units, &mut rng).expect("anchors")
     }
 
     #[test]
@@ -392,7 +391,7 @@ mod tests {
         let refused = |rows: &GaussianRows| {
             let rule = |_: &[[f32; 3]]| VoxelRule::Fixed(1.0);
             let (units, mut rng) = (PassingUnits::LINEAR, Pcg64::seed_from_u64(1));
-            anchors_from_gaussians(rows, rule, SHAPE, 9, units, &mut rng).expect_err("refused")
+            anchors_from_gaussians(rows, rule, 24, SHAPE, 9, units, &mut rng).expect_err("refused")
         };
         assert_eq!(refused(&GaussianRows::zero(0)), InitError::NoPoints);
         let mut rows = sphere(2);

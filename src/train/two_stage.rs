@@ -85,11 +85,14 @@ impl TwoStageTrainer {
     fn make_anchors(&mut self, step: u32, rng: &mut Pcg64) -> Result<()> {
         let Stage::Gaussians(trainer) = &self.stage else { return Ok(()) };
         let rows = trainer.rows()?;
-        let Schedule { voxel, shape, max_anchors, passing_units, .. } = self.schedule;
+        let Schedule { voxel, coarsest_growth, shape, max_anchors, passing_units, .. } = self.schedule;
+        // Half as large again as what growth puts one anchor into.
+        let cell = i32::from(coarsest_growth) * 3 / 2;
         // Half the limit is left for growth.
         let first = anchors_from_gaussians(
             &rows,
             |means| voxel.for_points(means, self.extent),
+            cell,
             shape,
             max_anchors / 2,
             passing_units,

@@ -29,9 +29,6 @@ use crate::{
     render::{AnchorGradients, DeviceAnchors, GaussianGradients, Gaussians, NeuralGaussians},
 };
 
-/// Coarsest growth cell in lattice cells.
-const COARSEST_GROWTH: i32 = 16;
-
 /// Approximate bytes in a file outside the rate term: the mask of an offset, a parameter of the render networks, and the container.
 const BYTES_PER_MASK: f64 = 0.065;
 const BYTES_PER_PARAMETER: f64 = 0.85;
@@ -203,7 +200,7 @@ impl AnchorTrainer {
             threshold: self.schedule.growth_threshold_at(step.number, step.lambda),
             min_views: 0.4 * self.schedule.densify_every as f32,
             min_visits: 0.8 * self.schedule.densify_every as f32,
-            coarsest: COARSEST_GROWTH,
+            coarsest: self.schedule.coarsest_growth.into(),
             max_anchors: self.schedule.max_anchors,
             extent: self.extent,
         };

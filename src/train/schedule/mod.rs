@@ -101,8 +101,12 @@ const NETWORK_SPEEDUP: f64 = 3.16;
 /// costs at first.
 const RECTIFYING_FROM: u32 = 500;
 
-/// Cells between neighbouring points at the start: the coarsest growth cell is as large as the points' spacing.
-const CELLS_PER_SPACING: f32 = 16.0;
+/// The coarsest growth cell in lattice cells, as published: growth has three levels, each a quarter of the one before.
+const COARSEST_GROWTH: u16 = 16;
+
+/// The same in `preview`, whose lattice follows the points' spacing: two levels, the finest a quarter of that spacing. Its scenes
+/// have so few bytes an anchor that the two bits an axis of a finer lattice are a twentieth of a file, for nothing that pictures show.
+const COARSEST_PREVIEW_GROWTH: u16 = 4;
 
 /// Share of the schedule after which a run is no longer watched for convergence.
 const LATEST_CONVERGENCE: f64 = 0.9;
@@ -176,6 +180,8 @@ pub struct Schedule {
     pub begins_colored: bool,
     /// How the edge of the anchors' cells is chosen.
     pub voxel: VoxelRule,
+    /// The coarsest growth cell, in cells; with `voxel=auto` it is as large as the points' spacing.
+    pub coarsest_growth: u16,
     /// First step whose view is added to the growth statistics.
     pub statistics_from: u32,
     /// Last step at which an anchor model is plain Gaussians, where its points are random; 0 for none.
@@ -237,6 +243,10 @@ impl Schedule {
         let rate = |published: Decay| anchor_learning_rate(published, steps);
         let compression = CompressionSchedule::new(options, steps);
         let grows_by_rate = compression.is_some() && options.preset != Preset::Paper;
+        let coarsest_growth = match (options.preset, options.voxel) {
+            (Preset::Preview, Voxel::Auto) => COARSEST_PREVIEW_GROWTH,
+            _ => COARSEST_GROWTH,
+        };
         let two_stages = options.preset != Preset::Paper && options.model != ModelKind::Gaussians3d;
         Self {
             model: options.model,
@@ -245,10 +255,11 @@ impl Schedule {
             shape,
             begins_colored: options.preset != Preset::Paper,
             voxel: match options.voxel {
-                Voxel::Auto => VoxelRule::OfSpacing(CELLS_PER_SPACING.recip()),
+                Voxel::Auto => VoxelRule::OfSpacing(f32::from(coarsest_growth).recip()),
                 Voxel::Published => VoxelRule::Published,
                 Voxel::Edge(edge) => VoxelRule::Fixed(edge as f32),
             },
+            coarsest_growth,
             plain_until: if two_stages { part(PLAIN_SHARE).min(MAX_PLAIN_STEPS) } else { 0 },
             statistics_from: part(500.0 / 30_000.0),
             densify_from: part(0.05),

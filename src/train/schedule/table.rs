@@ -54,6 +54,7 @@ fn anchors(row: &mut Row<'_>) {
         true => "the points' colours".to_owned(),
         false => "0, and random".to_owned(),
     });
+    row("coarsest growth cell, in lattice cells", &|c| c.coarsest_growth.to_string());
     row("anchors at most", &|c| c.max_anchors.to_string());
     row("plain Gaussians until, where a set has no points", &|c| match c.plain_until {
         0 => "–".to_owned(),
