@@ -105,7 +105,7 @@ const RECTIFYING_FROM: u32 = 500;
 const COARSEST_GROWTH: u16 = 16;
 
 /// The same in `preview`, whose lattice follows the points' spacing: two levels, the finest a quarter of that spacing. Its scenes
-/// have so few bytes an anchor that the two bits an axis of a finer lattice are a twentieth of a file, for nothing that pictures show.
+/// have so few bytes an anchor that two more bits an axis are 3 to 5 % of a file, and offsets say where Gaussians are.
 const COARSEST_PREVIEW_GROWTH: u16 = 4;
 
 /// Share of the schedule after which a run is no longer watched for convergence.
