@@ -498,6 +498,19 @@ mod tests {
     use crate::domain::ModelKind;
 
     #[test]
+    fn the_coarsest_growth_cell_is_as_large_as_the_spacing_unless_a_voxel_is_given() {
+        for preset in Preset::ALL {
+            let options = |voxel| TrainOptions { preset, voxel, ..TrainOptions::default() };
+            let auto = Schedule::new(&options(Voxel::Auto));
+            let VoxelRule::OfSpacing(share) = auto.voxel else { panic!("{:?}", auto.voxel) };
+            assert_eq!(share * f32::from(auto.coarsest_growth), 1.0, "{preset:?}");
+            for voxel in [Voxel::Published, Voxel::Edge(0.1)] {
+                assert_eq!(Schedule::new(&options(voxel)).coarsest_growth, 16, "as published");
+            }
+        }
+    }
+
+    #[test]
     fn rates_fall_between_their_ends() {
         let square = Decay { start: 3.0, end: 1.0, shape: DecayShape::Quadratic };
         assert_eq!([-1.0, 0.0, 0.5, 1.0, 2.0].map(|fraction| square.at(fraction)), [3.0, 3.0, 1.5, 1.0, 1.0]);
