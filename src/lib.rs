@@ -27,6 +27,8 @@ pub mod ingest;
 #[cfg(feature = "service")]
 pub mod model;
 #[cfg(feature = "service")]
+pub mod picture;
+#[cfg(feature = "service")]
 pub mod pipeline;
 #[cfg(feature = "service")]
 pub mod plot;

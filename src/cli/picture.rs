@@ -1,11 +1,16 @@
 //! Writes images in the format given by the file's extension.
 
-use std::{io::Cursor, path::Path};
+use std::path::Path;
 
-use image::{ExtendedColorType, ImageFormat};
-use tcgs::domain::{Image, Problem, ProblemType};
+use image::ImageFormat;
+use tcgs::{
+    domain::{Image, Problem, ProblemType},
+    picture::PictureFormat,
+};
 
 use super::{CliError, files};
+
+const JPEG_QUALITY: u8 = 75;
 
 /// The format that a file name asks for: PNG, JPEG or WebP.
 pub(crate) fn format_of(path: &Path) -> Result<ImageFormat, CliError> {
@@ -20,21 +25,15 @@ pub(crate) fn format_of(path: &Path) -> Result<ImageFormat, CliError> {
 
 /// Writes `image` to `path` in the format of its name.
 pub(crate) fn write(path: &Path, image: &Image) -> Result<(), CliError> {
-    let format = format_of(path)?;
-    let color = if image.channels() == 4 { ExtendedColorType::Rgba8 } else { ExtendedColorType::Rgb8 };
-    let mut bytes = Cursor::new(Vec::new());
-    image::write_buffer_with_format(
-        &mut bytes,
-        image.samples(),
-        image.width(),
-        image.height(),
-        color,
-        format,
-    )
-    .map_err(|fault| {
+    let format = match format_of(path)? {
+        ImageFormat::Jpeg => PictureFormat::Jpeg { quality: JPEG_QUALITY },
+        ImageFormat::WebP => PictureFormat::Webp,
+        _ => PictureFormat::Png,
+    };
+    let file = format.encode(image).map_err(|fault| {
         Problem::new(ProblemType::ImageEncoding, fault.to_string()).in_file(path.display().to_string())
     })?;
-    files::write(path, &bytes.into_inner())
+    files::write(path, &file)
 }
 
 #[cfg(test)]

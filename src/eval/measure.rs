@@ -1,47 +1,106 @@
 //! Renders frames of a dataset and compares them with their photographs.
 
-use super::{Lpips, score_view};
+use super::{
+    Lpips,
+    overlap::{InFlight, ViewTasks, for_each_view},
+    psnr, score_view,
+};
 use crate::{
-    domain::{Background, Frame, ViewScore},
+    domain::{Background, Frame, Image, ViewScore},
     render::{RenderError, SceneRenderer},
 };
+
+/// Renders frames and compares them with their photographs over a background.
+pub struct ViewMeasurement<'a, E> {
+    /// Renders the views.
+    pub renderer: &'a mut SceneRenderer,
+    /// The background of the photographs.
+    pub background: Background,
+    /// Called before each view is rendered; an error ends the measurement.
+    pub before_each: &'a mut dyn FnMut() -> Result<(), E>,
+}
+
+impl<E: From<RenderError> + Send> ViewMeasurement<'_, E> {
+    /// PSNR and SSIM of each frame, and LPIPS where there are weights for it. A frame that LPIPS cannot compare has none; the log says
+    /// why.
+    ///
+    /// # Errors
+    /// Errors of the renderer and of `before_each`; a photograph that cannot be read back.
+    pub fn scores(self, frames: &[&Frame], lpips: Option<&Lpips>) -> Result<Vec<ViewScore>, E> {
+        // LPIPS has some 300 bytes a pixel.
+        let in_flight = if lpips.is_some() { InFlight::One } else { InFlight::Several };
+        self.compare(frames, in_flight, &|frame, render, photograph| {
+            let mut score = score_view(&frame.name, render, photograph)?;
+            score.lpips = lpips.and_then(|lpips| {
+                let distance = lpips.distance(render, photograph);
+                distance.inspect_err(|fault| tracing::warn!("{}: no LPIPS: {fault}", frame.name)).ok()
+            });
+            Some(score)
+        })
+    }
+
+    /// The mean PSNR of the frames, without the time that SSIM takes; `None` without frames.
+    ///
+    /// # Errors
+    /// As [`ViewMeasurement::scores`].
+    pub fn mean_psnr(self, frames: &[&Frame]) -> Result<Option<f64>, E> {
+        let values =
+            self.compare(frames, InFlight::Several, &|_, render, photograph| psnr(render, photograph))?;
+        Ok((!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64))
+    }
+
+    fn compare<T: Send>(
+        self,
+        frames: &[&Frame],
+        in_flight: InFlight,
+        compare: &(dyn Fn(&Frame, &Image, &Image) -> Option<T> + Sync),
+    ) -> Result<Vec<T>, E> {
+        let Self { renderer, background, before_each } = self;
+        let mut views = renderer.views(frames.iter().map(|frame| frame.camera));
+        let mut compared = Vec::with_capacity(frames.len());
+        let tasks = ViewTasks::<T, E> {
+            render: &mut |frame| {
+                before_each()?;
+                let no_view = || RenderError::Scene(format!("frame {} has no view", frame.name));
+                Ok(views.next().ok_or_else(no_view)??)
+            },
+            process: &|frame, render| {
+                let photograph = frame.image.load().map_err(RenderError::from)?.over(background.rgb8());
+                let size = || RenderError::Scene(format!("frame {} is not of its camera's size", frame.name));
+                Ok(compare(frame, &render, &photograph).ok_or_else(size)?)
+            },
+            collect: &mut |result| {
+                compared.push(result);
+                Ok(())
+            },
+        };
+        for_each_view(frames, in_flight, tasks)?;
+        Ok(compared)
+    }
+}
 
 /// PSNR and SSIM of each frame, photographs composited on `background`.
 ///
 /// # Errors
-/// Errors of the renderer; a photograph that cannot be read back.
+/// As [`ViewMeasurement::scores`].
 pub fn measure_views(
     renderer: &mut SceneRenderer,
     frames: &[&Frame],
     background: Background,
 ) -> Result<Vec<ViewScore>, RenderError> {
-    measure_views_with(renderer, frames, background, None)
+    ViewMeasurement { renderer, background, before_each: &mut || Ok(()) }.scores(frames, None)
 }
 
-/// The score of each frame, with LPIPS where there are weights for it. A frame that LPIPS cannot compare has none; the
-/// log says why.
+/// The mean PSNR of the frames; 0 without frames.
 ///
 /// # Errors
-/// Errors of the renderer.
-pub fn measure_views_with(
+/// As [`ViewMeasurement::scores`].
+pub fn mean_psnr(
     renderer: &mut SceneRenderer,
     frames: &[&Frame],
     background: Background,
-    lpips: Option<&Lpips>,
-) -> Result<Vec<ViewScore>, RenderError> {
-    frames
-        .iter()
-        .map(|frame| {
-            let render = renderer.render(&frame.camera)?;
-            let photograph = frame.image.load()?.over(background.rgb8());
-            let mut score = score_view(&frame.name, &render, &photograph).ok_or_else(|| {
-                RenderError::Scene(format!("frame {} is not of its camera's size", frame.name))
-            })?;
-            score.lpips = lpips.and_then(|lpips| {
-                let distance = lpips.distance(&render, &photograph);
-                distance.inspect_err(|fault| tracing::warn!("{}: no LPIPS: {fault}", frame.name)).ok()
-            });
-            Ok(score)
-        })
-        .collect()
+) -> Result<f64, RenderError> {
+    let before_each: &mut dyn FnMut() -> Result<(), RenderError> = &mut || Ok(());
+    let measurement = ViewMeasurement { renderer, background, before_each };
+    Ok(measurement.mean_psnr(frames)?.unwrap_or(0.0))
 }

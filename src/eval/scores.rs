@@ -6,12 +6,8 @@ use crate::domain::{Image, LpipsNetwork, Scores, ViewScore};
 /// Compares a render with its photograph by PSNR and SSIM; `None` if they are not of one shape.
 #[must_use]
 pub fn score_view(name: &str, render: &Image, photograph: &Image) -> Option<ViewScore> {
-    Some(ViewScore {
-        name: name.to_owned(),
-        psnr: psnr(render, photograph)?,
-        ssim: ssim(render, photograph)?,
-        lpips: None,
-    })
+    let (psnr, ssim) = rayon::join(|| psnr(render, photograph), || ssim(render, photograph));
+    Some(ViewScore { name: name.to_owned(), psnr: psnr?, ssim: ssim?, lpips: None })
 }
 
 /// The means of PSNR and SSIM over views, with the views.

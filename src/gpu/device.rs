@@ -193,11 +193,22 @@ impl Device {
     /// # Errors
     /// As [`Device::check`].
     pub fn wait(&self) -> Result<(), GpuError> {
+        self.wait_until(None)
+    }
+
+    /// As [`Device::wait`], for a submission and those before it.
+    pub(super) fn wait_for(&self, submission: wgpu::SubmissionIndex) -> Result<(), GpuError> {
+        self.wait_until(Some(submission))
+    }
+
+    fn wait_until(&self, submission: Option<wgpu::SubmissionIndex>) -> Result<(), GpuError> {
         self.check()?;
         let waited = *self.max_wait.read().unwrap_or_else(PoisonError::into_inner);
         let answer = match waited {
             Duration::ZERO => Err(wgpu::PollError::Timeout),
-            _ => self.inner.poll(wgpu::PollType::Wait { submission_index: None, timeout: Some(waited) }),
+            _ => {
+                self.inner.poll(wgpu::PollType::Wait { submission_index: submission, timeout: Some(waited) })
+            }
         };
         match answer {
             Ok(_) => {}

@@ -40,7 +40,7 @@ pub use recorder::{Binding, Recorder};
 pub use scan::{Scan, ScanSlots};
 pub use settings::DeviceSettings;
 pub use sort::{Pairs, RadixSort};
-pub use staging::Staging;
+pub use staging::{PendingRead, Staging};
 pub(crate) use subgroups::MIN_LANES;
 pub use subgroups::Subgroups;
 pub use timing::KernelTime;

@@ -1,21 +1,81 @@
-//! Reads buffers back, through a new staging buffer or one that is kept: a new one of a view's size costs as much as its transfer.
+//! Reads buffers back, through new staging buffers or a ring of kept ones: a new one of a view's size costs as much as its transfer.
 
 use std::ops::Range;
 
 use super::{Buffer, Device, GpuError, ledger::Reservation};
 
-/// A staging buffer that is kept from one reading to the next of the same size.
+/// Staging buffers that are kept from one reading to the next of the same size: one for each reading that is under way at a time.
 #[derive(Debug, Default)]
 pub struct Staging {
-    kept: Option<(wgpu::Buffer, Reservation)>,
+    kept: Vec<(wgpu::Buffer, Reservation)>,
+}
+
+/// A reading that was submitted. Dropped unfinished, it frees its staging buffer.
+#[derive(Debug)]
+pub struct PendingRead {
+    staging: wgpu::Buffer,
+    reservation: Reservation,
+    submission: wgpu::SubmissionIndex,
+    /// Without alignment.
+    bytes: usize,
 }
 
 impl Staging {
+    /// Submits a copy of the elements of `range`, which is not empty, behind the work submitted so far. Does not wait.
+    ///
+    /// # Errors
+    /// As [`Device::check`], and [`GpuError::OverBudget`] without room for the transfer.
+    pub fn start<T: bytemuck::Pod>(
+        &mut self,
+        device: &Device,
+        buffer: &Buffer<T>,
+        range: Range<usize>,
+    ) -> Result<PendingRead, GpuError> {
+        device.check()?;
+        let size = size_of::<T>();
+        let bytes = range.len() * size;
+        let aligned = (bytes as u64).next_multiple_of(wgpu::COPY_BUFFER_ALIGNMENT);
+        self.kept.retain(|(staging, _)| staging.size() == aligned);
+        let (staging, reservation) = match self.kept.pop() {
+            Some(kept) => kept,
+            None => new_staging(device, aligned)?,
+        };
+        let mut encoder = device.inner.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+        encoder.copy_buffer_to_buffer(buffer.raw(), (range.start * size) as u64, &staging, 0, aligned);
+        let submission = device.queue.submit([encoder.finish()]);
+        staging.slice(..).map_async(wgpu::MapMode::Read, |_| ());
+        Ok(PendingRead { staging, reservation, submission, bytes })
+    }
+
+    /// Waits for a reading of this ring and passes its elements to `take`. Later work may go on meanwhile.
+    ///
+    /// # Errors
+    /// As [`Device::check`], and [`GpuError::Rejected`] for a range beyond the buffer, such as a count that a faulty device has
+    /// written.
+    pub fn finish<T: bytemuck::Pod, R>(
+        &mut self,
+        device: &Device,
+        read: PendingRead,
+        take: impl FnOnce(&[T]) -> R,
+    ) -> Result<R, GpuError> {
+        let PendingRead { staging, reservation, submission, bytes } = read;
+        device.wait_for(submission)?;
+        // A reading that fails does not keep its buffer, which may be mapped or about to be.
+        let unreadable = |fault: String| GpuError::Rejected(format!("mapping for reading: {fault}"));
+        let view = staging.slice(..).get_mapped_range().map_err(|fault| unreadable(fault.to_string()))?;
+        let elements =
+            bytemuck::try_cast_slice(&view[..bytes]).map_err(|fault| unreadable(fault.to_string()))?;
+        let taken = take(elements);
+        drop(view);
+        staging.unmap();
+        self.kept.push((staging, reservation));
+        Ok(taken)
+    }
+
     /// Passes the elements of `range` to `take`. Waits for the device.
     ///
     /// # Errors
-    /// As [`Device::check`], [`GpuError::OverBudget`] without room for the transfer, and [`GpuError::Rejected`] for a range beyond the
-    /// buffer, such as a count that a faulty device has written.
+    /// As [`Staging::start`] and [`Staging::finish`].
     pub fn read<T: bytemuck::Pod, R>(
         &mut self,
         device: &Device,
@@ -27,28 +87,8 @@ impl Staging {
         if range.is_empty() {
             return Ok(take(&[]));
         }
-        let size = size_of::<T>();
-        let bytes = ((range.len() * size) as u64).next_multiple_of(wgpu::COPY_BUFFER_ALIGNMENT);
-        // A reading that fails leaves its buffer behind, which may be mapped or about to be.
-        let fits = |kept: &(wgpu::Buffer, Reservation)| kept.0.size() == bytes;
-        let (staging, reservation) = match self.kept.take().filter(fits) {
-            Some(kept) => kept,
-            None => new_staging(device, bytes)?,
-        };
-        let mut encoder = device.inner.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
-        encoder.copy_buffer_to_buffer(buffer.raw(), (range.start * size) as u64, &staging, 0, bytes);
-        device.queue.submit([encoder.finish()]);
-        staging.slice(..).map_async(wgpu::MapMode::Read, |_| ());
-        device.wait()?;
-        let unreadable = |fault: String| GpuError::Rejected(format!("mapping for reading: {fault}"));
-        let view = staging.slice(..).get_mapped_range().map_err(|fault| unreadable(fault.to_string()))?;
-        let elements = bytemuck::try_cast_slice(&view[..range.len() * size])
-            .map_err(|fault| unreadable(fault.to_string()))?;
-        let taken = take(elements);
-        drop(view);
-        staging.unmap();
-        self.kept = Some((staging, reservation));
-        Ok(taken)
+        let read = self.start(device, buffer, range)?;
+        self.finish(device, read, take)
     }
 }
 
@@ -106,6 +146,38 @@ mod tests {
         assert_eq!(read(&buffer, 2..2), [0_u32; 0]);
         let small = device.upload("others", &[7_u32, 6]).expect("room");
         assert_eq!(read(&small, 0..2), [7, 6]);
+    }
+
+    #[test]
+    fn readings_under_way_keep_what_the_buffer_held_when_they_were_submitted() {
+        let device = lavapipe();
+        let buffer = device.upload("numbers", &[1_u32, 2, 3]).expect("room");
+        let before = device.allocated_bytes();
+        let mut staging = Staging::default();
+        for _ in 0..2 {
+            device.write(&buffer, &[1_u32, 2, 3]);
+            let first = staging.start(&device, &buffer, 0..3).expect("submits");
+            device.write(&buffer, &[4_u32, 5, 6]);
+            let second = staging.start(&device, &buffer, 0..3).expect("submits");
+            device.write(&buffer, &[7_u32, 8, 9]);
+            let mut finish = |read| staging.finish(&device, read, <[u32]>::to_vec).expect("reads");
+            assert_eq!((finish(first), finish(second)), (vec![1, 2, 3], vec![4, 5, 6]));
+            assert_eq!(device.allocated_bytes(), before + 24, "two buffers, kept");
+        }
+        drop(staging.start(&device, &buffer, 0..3).expect("submits"));
+        assert_eq!(staging.read(&device, &buffer, 0..3, <[u32]>::to_vec), Ok(vec![7, 8, 9]));
+        assert_eq!(device.allocated_bytes(), before + 12, "one was dropped under way");
+    }
+
+    #[test]
+    fn a_reading_under_way_on_a_lost_device_fails_with_the_loss() {
+        let device = lavapipe();
+        let buffer = device.upload("numbers", &[1_u32, 2, 3]).expect("room");
+        let mut staging = Staging::default();
+        let read = staging.start(&device, &buffer, 0..3).expect("submits");
+        device.destroy();
+        let found = staging.finish(&device, read, <[u32]>::to_vec);
+        assert!(matches!(found, Err(GpuError::DeviceLost(_) | GpuError::Rejected(_))), "{found:?}");
     }
 
     #[test]

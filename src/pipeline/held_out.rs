@@ -2,16 +2,14 @@
 //!
 //! They are rendered from the finished file's scene after everything is measured, and change nothing about it.
 
-use std::io::Cursor;
-
 use base64::{Engine as _, engine::general_purpose::STANDARD};
-use image::{ExtendedColorType, ImageEncoder as _, codecs::jpeg::JpegEncoder};
 use thiserror::Error;
 
 use super::{error::JobError, inputs::RunInputs, scene_file};
 use crate::{
     domain::{Frame, HeldOut, HeldOutView, Image, PhotographError, Problem, Scores, ViewScore},
-    eval::{ERROR_CEILING, error_map, error_ramp, shrunk},
+    eval::{ERROR_CEILING, InFlight, ViewTasks, error_map, error_ramp, for_each_view, shrunk},
+    picture::{PictureError, PictureFormat},
     render::{RenderError, SceneRenderer},
 };
 
@@ -28,6 +26,8 @@ const JPEG_QUALITY: u8 = 88;
 enum HeldOutError {
     #[error("{}", .0.detail)]
     File(Problem),
+    #[error("cancelled")]
+    Cancelled,
     #[error(transparent)]
     Render(#[from] RenderError),
     #[error(transparent)]
@@ -35,7 +35,7 @@ enum HeldOutError {
     #[error("render and photograph of {0} differ in size")]
     Size(String),
     #[error("a picture cannot be encoded: {0}")]
-    Jpeg(#[from] image::ImageError),
+    Picture(#[from] PictureError),
 }
 
 /// Pictures of held-out views of a finished file, or none where they cannot be made: that must not fail the job, since only its
@@ -63,17 +63,36 @@ fn held_out(
     let file = scene_file::read(file).map_err(HeldOutError::File)?;
     let mut renderer = SceneRenderer::of_scene(&inputs.device, &file.scene, file.background)?;
     let frames = inputs.test_views();
-    let mut views = Vec::new();
-    for score in chosen(&scores.per_view) {
-        let Some(frame) = frames.iter().find(|frame| frame.name == score.name) else { continue };
-        heartbeat();
-        if inputs.cancel.is_cancelled() {
-            return Ok(None);
-        }
-        let render = renderer.render(&frame.camera)?;
-        let photograph = frame.image.load()?.over(file.background.rgb8());
-        views.push(view(score, frame, &render, &photograph)?);
+    let shown: Vec<(&ViewScore, &Frame)> = chosen(&scores.per_view)
+        .into_iter()
+        .filter_map(|score| Some((score, *frames.iter().find(|frame| frame.name == score.name)?)))
+        .collect();
+    let mut pictures = Vec::new();
+    let tasks = ViewTasks::<_, HeldOutError> {
+        render: &mut |frame| {
+            heartbeat();
+            if inputs.cancel.is_cancelled() {
+                return Err(HeldOutError::Cancelled);
+            }
+            Ok(renderer.render(&frame.camera)?)
+        },
+        process: &|frame, render| {
+            let photograph = frame.image.load()?.over(file.background.rgb8());
+            ViewPictures::of(frame, &render, &photograph)
+        },
+        collect: &mut |made| {
+            pictures.push(made);
+            Ok(())
+        },
+    };
+    let to_render: Vec<&Frame> = shown.iter().map(|(_, frame)| *frame).collect();
+    match for_each_view(&to_render, InFlight::Several, tasks) {
+        Err(HeldOutError::Cancelled) => return Ok(None),
+        result => result?,
     }
+    let views = shown.into_iter().zip(pictures);
+    let views: Vec<HeldOutView> =
+        views.map(|((score, frame), pictures)| pictures.beside(score, frame)).collect();
     let sheet = HeldOut { of: frames.len(), ceiling: ERROR_CEILING, ramp: error_ramp(), views };
     Ok((!sheet.views.is_empty()).then_some(sheet))
 }
@@ -88,35 +107,37 @@ fn chosen(scores: &[ViewScore]) -> Vec<&ViewScore> {
     sorted
 }
 
-fn view(
-    score: &ViewScore,
-    frame: &Frame,
-    render: &Image,
-    photograph: &Image,
-) -> Result<HeldOutView, HeldOutError> {
-    let size = || HeldOutError::Size(frame.name.clone());
-    let error = error_map(render, photograph, SIDE).ok_or_else(size)?;
-    let small = |image| shrunk(image, SIDE).ok_or_else(size);
-    Ok(HeldOutView {
-        score: score.clone(),
-        camera: frame.camera,
-        width: error.width(),
-        height: error.height(),
-        photograph: jpeg(&small(photograph)?)?,
-        render: jpeg(&small(render)?)?,
-        error: jpeg(&error)?,
-    })
+/// The small pictures of a view, in base64.
+struct ViewPictures {
+    width: u32,
+    height: u32,
+    photograph: String,
+    render: String,
+    error: String,
 }
 
-fn jpeg(image: &Image) -> Result<String, image::ImageError> {
-    let mut file = Cursor::new(Vec::new());
-    JpegEncoder::new_with_quality(&mut file, JPEG_QUALITY).write_image(
-        image.samples(),
-        image.width(),
-        image.height(),
-        ExtendedColorType::Rgb8,
-    )?;
-    Ok(STANDARD.encode(file.into_inner()))
+impl ViewPictures {
+    fn of(frame: &Frame, render: &Image, photograph: &Image) -> Result<Self, HeldOutError> {
+        let size = || HeldOutError::Size(frame.name.clone());
+        let error = error_map(render, photograph, SIDE).ok_or_else(size)?;
+        let small = |image| shrunk(image, SIDE).ok_or_else(size);
+        Ok(Self {
+            width: error.width(),
+            height: error.height(),
+            photograph: jpeg(&small(photograph)?)?,
+            render: jpeg(&small(render)?)?,
+            error: jpeg(&error)?,
+        })
+    }
+
+    fn beside(self, score: &ViewScore, frame: &Frame) -> HeldOutView {
+        let Self { width, height, photograph, render, error } = self;
+        HeldOutView { score: score.clone(), camera: frame.camera, width, height, photograph, render, error }
+    }
+}
+
+fn jpeg(image: &Image) -> Result<String, PictureError> {
+    Ok(STANDARD.encode(PictureFormat::Jpeg { quality: JPEG_QUALITY }.encode(image)?))
 }
 
 #[cfg(test)]

@@ -7,8 +7,8 @@ use super::{
     stages::{coding_stages, rendering_error},
 };
 use crate::{
-    domain::{Background, Conventions, Frame, JobMetrics, PhaseSeconds, Scene, Scores},
-    eval::{Lpips, mean_scores_with, measure_views_with},
+    domain::{Background, Conventions, Frame, JobMetrics, PhaseSeconds, Scores},
+    eval::{Lpips, ViewMeasurement, mean_scores_with},
     render::SceneRenderer,
     train::Trained,
 };
@@ -26,22 +26,30 @@ pub(super) fn measure(
     heartbeat: &mut dyn FnMut(),
 ) -> Result<JobMetrics, JobError> {
     let file = &written.file;
-    let mut score = |scene: &Scene, frames: &[&Frame], lpips| -> Result<Scores, JobError> {
-        let mut renderer = SceneRenderer::of_scene(&inputs.device, scene, background)?;
-        let mut views = Vec::with_capacity(frames.len());
-        for frame in frames {
-            inputs.check_cancelled()?;
-            heartbeat();
-            views.extend(measure_views_with(&mut renderer, &[*frame], background, lpips)?);
-        }
-        Ok(mean_scores_with(&views, lpips.map(Lpips::network)))
+    let mut before_each = || {
+        inputs.check_cancelled()?;
+        heartbeat();
+        Ok::<_, JobError>(())
+    };
+    let mut renderer = SceneRenderer::of_scene(&inputs.device, &file.scene, background)?;
+    let mut score = |frames: &[&Frame]| -> Result<Scores, JobError> {
+        let (renderer, before_each) = (&mut renderer, &mut before_each);
+        let views = ViewMeasurement { renderer, background, before_each }.scores(frames, inputs.lpips)?;
+        Ok(mean_scores_with(&views, inputs.lpips.map(Lpips::network)))
     };
     let held_out = inputs.test_views();
-    let test = score(&file.scene, &held_out, inputs.lpips)?;
+    let test = score(&held_out)?;
+    let train = score(&inputs.train_views(MEASURED_TRAIN_VIEWS))?;
+    drop(renderer);
     // Compression-aware training leaves a scene that is rounded already.
     let unrounded = trained.unrounded.as_ref().unwrap_or(&trained.scene);
-    let before = if *unrounded == file.scene { test.psnr } else { score(unrounded, &held_out, None)?.psnr };
-    let train = score(&file.scene, &inputs.train_views(MEASURED_TRAIN_VIEWS), inputs.lpips)?;
+    let before = if *unrounded == file.scene {
+        test.psnr
+    } else {
+        let mut renderer = SceneRenderer::of_scene(&inputs.device, unrounded, background)?;
+        let (renderer, before_each) = (&mut renderer, &mut before_each);
+        ViewMeasurement { renderer, background, before_each }.mean_psnr(&held_out)?
+    };
     Ok(JobMetrics {
         test,
         train,

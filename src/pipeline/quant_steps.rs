@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use crate::{
     domain::{AnchorScene, Background, Frame},
-    eval::{mean_scores, measure_views},
+    eval::mean_psnr,
     gpu::Device,
     render::{RenderError, SceneRenderer},
     train::BaseQuantSteps,
@@ -38,7 +38,7 @@ pub(super) fn choose_quant_steps(
     let mut renderer = SceneRenderer::new(device, scene, background)?;
     let mut psnr = |scene: &AnchorScene| -> Result<f64, RenderError> {
         renderer.replace(scene)?;
-        Ok(mean_scores(&measure_views(&mut renderer, views, background)?).psnr.unwrap_or(0.0))
+        mean_psnr(&mut renderer, views, background)
     };
     let ladder = StepLadder::of(scene);
     let best = psnr(scene)?;

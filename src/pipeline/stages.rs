@@ -18,7 +18,7 @@ use crate::{
         AnchorScene, Background, CodingStages, Frame, RenderingError, Scene, SceneFormat,
         anchors::SCALINGS_PER_ANCHOR, spread::spread,
     },
-    eval::{ColorError, mean_scores, measure_views, reference_view},
+    eval::{ColorError, ViewMeasurement, reference_view},
     render::{SceneRenderer, twin::Cutoffs},
     train::Trained,
 };
@@ -52,13 +52,13 @@ pub(super) fn coding_stages(
     let noisy = with_noise(&rounded, floats, &steps);
     let mut psnr = |scene: &AnchorScene| -> Result<f64, JobError> {
         let mut renderer = SceneRenderer::new(&inputs.device, scene, background)?;
-        let mut views = Vec::with_capacity(frames.len());
-        for frame in &frames {
+        let before_each = &mut || {
             inputs.check_cancelled()?;
             heartbeat();
-            views.extend(measure_views(&mut renderer, &[*frame], background)?);
-        }
-        Ok(mean_scores(&views).psnr.unwrap_or_default())
+            Ok::<_, JobError>(())
+        };
+        let measurement = ViewMeasurement { renderer: &mut renderer, background, before_each };
+        Ok(measurement.mean_psnr(&frames)?.unwrap_or_default())
     };
     Ok(Some(CodingStages {
         views: frames.len(),

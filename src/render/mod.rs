@@ -32,6 +32,6 @@ pub use packed_image::PackedImage;
 pub use plain::{DeviceGaussians, PlainGaussians, STATISTICS};
 pub use projection::{Projection, RasterSettings, TILE};
 pub use rasterizer::{ForwardPasses, RasterCounts, Rasterizer, sum_slots};
-pub use scene_renderer::SceneRenderer;
+pub use scene_renderer::{SceneRenderer, Views};
 pub use scene_viewer::SceneViewer;
 pub use views::RenderViews;

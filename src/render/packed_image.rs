@@ -1,10 +1,10 @@
-//! Views as 8-bit colours: rounded on the device, and read back with the counters of their pass in one transfer, through a buffer that
-//! is kept.
+//! Views as 8-bit colours: rounded on the device, and read back with the counters of their pass in one transfer, through buffers that
+//! are kept.
 
 use std::sync::Arc;
 
 use super::Result;
-use crate::gpu::{Binding, Buffer, Device, Kernel, Recorder, Staging, kernel_source};
+use crate::gpu::{Binding, Buffer, Device, Kernel, PendingRead, Recorder, Staging, kernel_source};
 
 /// Rounds images.
 #[derive(Debug)]
@@ -50,11 +50,17 @@ impl PackedImage {
         Ok(())
     }
 
-    /// Reads the last submitted image, row by row as red, green and blue, and the counters. Waits for the device.
-    pub fn read(&mut self, device: &Device) -> Result<(Vec<u8>, Vec<u32>)> {
+    /// Submits the reading of the last submitted image and its counters. Does not wait.
+    pub fn start_read(&mut self, device: &Device) -> Result<PendingImage> {
         let pixels = self.words.len().saturating_sub(self.counters);
+        let read = self.staging.start(device, &self.words, 0..self.words.len())?;
+        Ok(PendingImage { read, pixels })
+    }
+
+    /// The image, row by row as red, green and blue, and the counters. Waits for the device.
+    pub fn finish_read(&mut self, device: &Device, image: PendingImage) -> Result<(Vec<u8>, Vec<u32>)> {
         let unpack = |words: &[u32]| {
-            let (pixels, counters) = words.split_at(pixels);
+            let (pixels, counters) = words.split_at(image.pixels);
             let mut samples = vec![0; 3 * pixels.len()];
             for (sample, word) in samples.as_chunks_mut::<3>().0.iter_mut().zip(pixels) {
                 let [red, green, blue, _] = word.to_le_bytes();
@@ -62,6 +68,13 @@ impl PackedImage {
             }
             (samples, counters.to_vec())
         };
-        Ok(self.staging.read(device, &self.words, 0..self.words.len(), unpack)?)
+        Ok(self.staging.finish(device, image.read, unpack)?)
     }
+}
+
+/// An image on its way from the device.
+#[derive(Debug)]
+pub struct PendingImage {
+    read: PendingRead,
+    pixels: usize,
 }

@@ -205,7 +205,7 @@ impl Rasterizer {
 
     /// Reads back the counts of the last submitted forward pass. Waits for the device.
     pub fn counts(&self) -> Result<RasterCounts> {
-        Ok(self.counts_of(&self.device.read(&self.counters)?))
+        Ok(Self::counts_of(&self.device.read(&self.counters)?, self.capacity()))
     }
 
     /// What [`Rasterizer::counts_of`] reads, after a submitted forward pass.
@@ -213,13 +213,18 @@ impl Rasterizer {
         &self.counters
     }
 
-    /// The counts in a copy of the counters.
-    pub(super) fn counts_of(&self, counters: &[u32]) -> RasterCounts {
+    /// The number of intersections that there is room for.
+    pub(super) fn capacity(&self) -> usize {
+        self.intersections.capacity
+    }
+
+    /// The counts in a copy of the counters of a pass with room for `capacity` intersections.
+    pub(super) fn counts_of(counters: &[u32], capacity: usize) -> RasterCounts {
         let intersections = counters[INTERSECTIONS as usize];
         RasterCounts {
             visible: counters[VISIBLE as usize],
             intersections,
-            overflowed: intersections as usize > self.intersections.capacity,
+            overflowed: intersections as usize > capacity,
         }
     }
 

@@ -1,10 +1,11 @@
 //! Renders finished scenes from any camera into 8-bit images, depths and alphas.
 
-use std::sync::Arc;
+use std::{iter::Fuse, sync::Arc};
 
 use super::{
     DepthShader, DeviceAnchors, Gaussians, NeuralGaussians, PackedImage, RasterSettings, Rasterizer,
     RenderError, Result,
+    packed_image::PendingImage,
     plain::{DeviceGaussians, PlainGaussians},
     views::{MIN_VISIBLE_ALPHA, ScalarImage, ScalarKind},
 };
@@ -120,25 +121,47 @@ impl SceneRenderer {
 
     /// The view from `camera`: RGB, rounded to 8 bits.
     pub fn render(&mut self, camera: &Camera) -> Result<Image> {
+        let view = self.start(*camera)?;
+        self.finish(view)
+    }
+
+    /// The views from cameras, each as [`SceneRenderer::render`] gives it. While one is read back, the next renders.
+    pub fn views<I: Iterator<Item = Camera>>(&mut self, cameras: I) -> Views<'_, I> {
+        Views { renderer: self, cameras: cameras.fuse(), pending: None }
+    }
+
+    /// Submits a view.
+    fn start(&mut self, camera: Camera) -> Result<PendingView> {
         let device = Arc::clone(&self.device);
         let packed = match &mut self.packed {
             Some(packed) => packed,
             none => none.insert(PackedImage::new(&device)?),
         };
+        let mut recorder = device.recorder("view");
+        let gaussians = self.source.forward(&mut recorder, &camera)?;
+        self.raster.forward(&mut recorder, gaussians, &camera, self.background.rgb())?;
+        packed.record(&device, &mut recorder, self.raster.image(), self.raster.counters())?;
+        recorder.submit()?;
+        Ok(PendingView { camera, image: packed.start_read(&device)?, capacity: self.raster.capacity() })
+    }
+
+    /// Waits for a view. One without room for its intersections renders again with more.
+    fn finish(&mut self, mut view: PendingView) -> Result<Image> {
+        let device = Arc::clone(&self.device);
         let samples = loop {
-            let mut recorder = device.recorder("view");
-            let gaussians = self.source.forward(&mut recorder, camera)?;
-            self.raster.forward(&mut recorder, gaussians, camera, self.background.rgb())?;
-            packed.record(&device, &mut recorder, self.raster.image(), self.raster.counters())?;
-            recorder.submit()?;
-            let (samples, counters) = packed.read(&device)?;
-            let counts = self.raster.counts_of(&counters);
+            let no_view = || RenderError::Scene("a view was not started".to_owned());
+            let packed = self.packed.as_mut().ok_or_else(no_view)?;
+            let (samples, counters) = packed.finish_read(&device, view.image)?;
+            let counts = Rasterizer::counts_of(&counters, view.capacity);
             if !counts.overflowed {
                 break samples;
             }
-            self.raster.grow(&counts)?;
+            if counts.intersections as usize > self.raster.capacity() {
+                self.raster.grow(&counts)?;
+            }
+            view = self.start(view.camera)?;
         };
-        let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
+        let (width, height) = (view.camera.intrinsics.width, view.camera.intrinsics.height);
         Image::new(width, height, 3, samples).map_err(|fault| RenderError::Scene(fault.to_string()))
     }
 
@@ -189,6 +212,38 @@ impl SceneRenderer {
             }
         })?;
         Ok(device.read(self.raster.image())?)
+    }
+}
+
+/// A view that was submitted.
+#[derive(Debug)]
+struct PendingView {
+    camera: Camera,
+    image: PendingImage,
+    /// Intersections that it had room for.
+    capacity: usize,
+}
+
+/// The iterator of [`SceneRenderer::views`]: at most two views are on the device.
+#[derive(Debug)]
+pub struct Views<'a, I> {
+    renderer: &'a mut SceneRenderer,
+    cameras: Fuse<I>,
+    pending: Option<PendingView>,
+}
+
+impl<I: Iterator<Item = Camera>> Iterator for Views<'_, I> {
+    type Item = Result<Image>;
+
+    fn next(&mut self) -> Option<Result<Image>> {
+        let view = match self.pending.take() {
+            Some(view) => Ok(view),
+            None => self.renderer.start(self.cameras.next()?),
+        };
+        Some(view.and_then(|view| {
+            self.pending = self.cameras.next().map(|camera| self.renderer.start(camera)).transpose()?;
+            self.renderer.finish(view)
+        }))
     }
 }
 

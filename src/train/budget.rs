@@ -13,6 +13,7 @@ use super::{
 };
 use crate::{
     domain::{Dataset, MemoryBudget, ModelKind, TrainOptions},
+    eval::measuring_bytes,
     gpu::AdapterReport,
     render::Rasterizer,
 };
@@ -100,7 +101,8 @@ impl<'a> Needs<'a> {
             ],
             host: vec![
                 part("photographs", self.photographs),
-                part("photograph of a step", STEP_BYTES_A_PIXEL * pixels),
+                // Views are measured when no step runs.
+                part("photographs in use", (STEP_BYTES_A_PIXEL * pixels).max(measuring_bytes(pixels))),
                 part("points", POINT_BYTES * self.points as u64),
                 part("growth", model.host_bytes(size)),
                 part("program", PROGRAM_BYTES),

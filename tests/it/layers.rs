@@ -23,13 +23,17 @@ const LAYERS: &[(&str, &[&str])] = &[
     ("eval", &["domain", "gpu", "model", "render"]),
     ("train", &["domain", "gpu", "codec", "model", "render", "eval"]),
     ("accuracy", &["domain", "gpu", "codec", "model", "render", "eval", "train"]),
-    ("pipeline", &["domain", "ingest", "gpu", "codec", "export", "model", "render", "eval", "train"]),
+    (
+        "pipeline",
+        &["domain", "ingest", "gpu", "codec", "export", "model", "render", "eval", "train", "picture"],
+    ),
     ("worker", &["domain", "store", "pipeline"]),
     ("https", &[]),
     ("plot", &[]),
+    ("picture", &["domain"]),
     ("webhooks", &["domain", "store", "https"]),
     ("viewers", &["domain", "store", "render", "https"]),
-    ("http", &["domain", "codec", "store", "render", "viewers", "plot"]),
+    ("http", &["domain", "codec", "store", "render", "viewers", "plot", "picture"]),
 ];
 
 /// External crates that only the named modules may use.
@@ -57,6 +61,8 @@ const EXTERNAL: &[(&str, &[&str])] = &[
     ("zip", &["ingest", "sample"]),
     ("constriction", &["codec"]),
     ("kiddo", &["model", "codec"]),
+    ("jpeg_encoder", &["picture"]),
+    ("crc32fast", &["picture"]),
     ("ndarray", &["eval"]),
     ("flate2", &["export"]),
     ("zstd", &["export"]),

@@ -1,21 +1,23 @@
 //! `tcgs bench views`: frames a second of a finished scene, as the device renders them and as a client gets them.
 //!
-//! Times are of this process alone, one view after another, after a first one that is not counted.
+//! Times are of this process alone, after a first view that is not counted. While a view is read back, the next renders, and pictures
+//! are encoded on all cores meanwhile.
 
 use std::{
     fmt,
-    io::Cursor,
+    iter::repeat,
     path::PathBuf,
     str::FromStr,
+    sync::mpsc,
     time::{Duration, Instant},
 };
 
-use image::{ExtendedColorType, ImageEncoder as _, codecs::jpeg::JpegEncoder};
 use serde::Serialize;
 use tcgs::{
     domain::{Camera, Image, Intrinsics, Problem, ProblemType},
     gpu::Device,
-    render::SceneRenderer,
+    picture::PictureFormat,
+    render::{RenderError, SceneRenderer},
 };
 
 use crate::cli::{CliError, Report, adapter::AdapterFlag, camera::CameraFlags, files, wiring};
@@ -105,7 +107,7 @@ struct Measured {
     device: f64,
     /// Rendered and read back as 8-bit RGB.
     image: f64,
-    /// And encoded as JPEG, as the service delivers them.
+    /// And encoded as JPEG, as the service delivers them: as many at once as there are cores.
     jpeg: f64,
 }
 
@@ -154,8 +156,11 @@ fn measure(
         (0..IN_FLIGHT).try_for_each(|_| renderer.submit(camera))?;
         Ok(device.wait()?)
     })?;
-    let image = rate(limit, 1, || Ok(renderer.render(camera).map(drop)?))?;
-    let jpeg = rate(limit, 1, || encode(&renderer.render(camera)?))?;
+    let image = {
+        let mut views = renderer.views(repeat(*camera));
+        rate(limit, 1, || Ok(views.next().transpose().map(drop)?))?
+    };
+    let jpeg = encoded_rate(limit, &mut renderer.views(repeat(*camera)))?;
     let (width, height) = (first.width(), first.height());
     Ok(Measured { width, height, device: of_device, image, jpeg })
 }
@@ -171,11 +176,43 @@ fn rate(limit: Duration, each: u32, mut views: impl FnMut() -> Result<(), Proble
     Ok(f64::from(calls) * f64::from(each) / began.elapsed().as_secs_f64())
 }
 
+/// Pictures a second of views that are encoded while the next ones render, over `limit` and at least three pictures.
+fn encoded_rate(
+    limit: Duration,
+    views: &mut dyn Iterator<Item = Result<Image, RenderError>>,
+) -> Result<f64, Problem> {
+    let at_once = rayon::current_num_threads();
+    let began = Instant::now();
+    let pictures = rayon::in_place_scope(|scope| -> Result<u32, Problem> {
+        let (sender, encoded) = mpsc::channel();
+        let (mut started, mut finished) = (0, 0);
+        while started < 3 || began.elapsed() < limit {
+            let Some(image) = views.next().transpose()? else { break };
+            let sender = sender.clone();
+            scope.spawn(move |_| {
+                // The receiver is gone only after an error.
+                let _ = sender.send(encode(&image));
+            });
+            started += 1;
+            if started - finished >= at_once as u32 {
+                encoded.recv().map_err(|fault| not_encoded(&fault))??;
+                finished += 1;
+            }
+        }
+        drop(sender);
+        encoded.iter().collect::<Result<(), Problem>>()?;
+        Ok(started)
+    })?;
+    Ok(f64::from(pictures) / began.elapsed().as_secs_f64())
+}
+
 fn encode(image: &Image) -> Result<(), Problem> {
-    let mut bytes = Cursor::new(Vec::new());
-    JpegEncoder::new_with_quality(&mut bytes, JPEG_QUALITY)
-        .write_image(image.samples(), image.width(), image.height(), ExtendedColorType::Rgb8)
-        .map_err(|fault| Problem::new(ProblemType::ImageEncoding, fault.to_string()))
+    let file = PictureFormat::Jpeg { quality: JPEG_QUALITY }.encode(image);
+    file.map(drop).map_err(|fault| not_encoded(&fault))
+}
+
+fn not_encoded(fault: &dyn std::error::Error) -> Problem {
+    Problem::new(ProblemType::ImageEncoding, fault.to_string())
 }
 
 fn text(views: &Views) -> String {
@@ -211,6 +248,22 @@ mod tests {
         let wide = at_size(&camera, Size(400, 160)).expect("a camera").intrinsics;
         assert_eq!((wide.fx, wide.fy, wide.cx, wide.cy), (200.0, 180.0, 220.0, 80.0));
         assert_eq!((wide.width, wide.height), (400, 160));
+    }
+
+    #[test]
+    fn an_encoded_rate_counts_at_least_three_pictures_and_ends_at_an_error() {
+        let image = || Image::new(8, 8, 3, vec![7; 192]).expect("an image");
+        let mut made = 0;
+        let mut views = std::iter::repeat_with(|| {
+            made += 1;
+            Ok(image())
+        });
+        assert!(encoded_rate(Duration::ZERO, &mut views).expect("measures") > 0.0);
+        drop(views);
+        assert_eq!(made, 3);
+        let failing = RenderError::Scene("a fault".to_owned());
+        let mut views = [Ok(image()), Err(failing)].into_iter();
+        assert!(encoded_rate(Duration::ZERO, &mut views).is_err());
     }
 
     #[test]

@@ -25,7 +25,7 @@ use tcgs::{
         AnchorScene, Background, Camera, Dataset, DatasetSummary, Digest, Image, MemoryLimits, NamedCamera,
         Problem, ProblemType, Scene, Scores, Split,
     },
-    eval::{Lpips, band_errors, mean_scores_with, score_view},
+    eval::{InFlight, Lpips, ViewTasks, band_errors, for_each_view, mean_scores_with, score_view},
     export::anchors,
     gpu::AdapterChoice,
     ingest::{self, LoadBudget},
@@ -103,10 +103,19 @@ pub(crate) fn high_band_error(
     background: Background,
 ) -> Result<Option<f64>, Problem> {
     let mut errors = Vec::new();
-    for frame in dataset.split(Split::Test) {
-        let photograph = frame.image.load()?.over(background.rgb8());
-        errors.extend(band_errors(&renderer.view(&frame.camera)?, &photograph).map(|error| error.high));
-    }
+    let tasks = ViewTasks::<_, Problem> {
+        render: &mut |frame| renderer.view(&frame.camera),
+        process: &|frame, render| {
+            let photograph = frame.image.load()?.over(background.rgb8());
+            Ok(band_errors(&render, &photograph).map(|error| error.high))
+        },
+        collect: &mut |error| {
+            errors.extend(error);
+            Ok(())
+        },
+    };
+    // Bands have some 200 bytes a pixel.
+    for_each_view(&dataset.split(Split::Test).collect::<Vec<_>>(), InFlight::One, tasks)?;
     Ok((!errors.is_empty()).then(|| errors.iter().sum::<f64>() / errors.len() as f64))
 }
 
@@ -224,8 +233,20 @@ impl Renderer {
     }
 }
 
+/// The mean seconds of rendering a held-out view while nothing else runs; `None` without such views.
+pub(crate) fn render_seconds(renderer: &Renderer, dataset: &Dataset) -> Result<Option<f64>, Problem> {
+    let (mut views, mut seconds) = (0, 0.0);
+    for frame in dataset.split(Split::Test) {
+        let began = Instant::now();
+        renderer.view(&frame.camera)?;
+        seconds += began.elapsed().as_secs_f64();
+        views += 1;
+    }
+    Ok((views > 0).then(|| seconds / f64::from(views)))
+}
+
 /// The scores of the held-out views and their means, and the seconds of rendering. `each` gets every view's name, render and
-/// photograph; only one view is in memory at a time.
+/// photograph, in the order of the frames. Views are scored while the next ones are rendered.
 pub(crate) fn score(
     renderer: &Renderer,
     dataset: &Dataset,
@@ -235,22 +256,33 @@ pub(crate) fn score(
 ) -> Result<(Scores, f64), CliError> {
     let mut scores = Vec::new();
     let mut seconds = 0.0;
-    for frame in dataset.split(Split::Test) {
-        let name = &frame.name;
-        let photograph = frame.image.load().map_err(Problem::from)?.over(background.rgb8());
-        let began = Instant::now();
-        let render = renderer.view(&frame.camera)?;
-        seconds += began.elapsed().as_secs_f64();
-        let mut score = score_view(name, &render, &photograph).ok_or_else(|| {
-            let detail = format!("the render of {name} is not of its photograph's size");
-            Problem::new(ProblemType::Internal, detail)
-        })?;
-        if let Some(lpips) = lpips {
-            let distance = lpips.distance(&render, &photograph);
-            score.lpips = Some(distance.map_err(|fault| Problem::from(fault).in_file(name))?);
-        }
-        each(name, &render, &photograph)?;
-        scores.push(score);
-    }
+    let tasks = ViewTasks::<_, CliError> {
+        render: &mut |frame| {
+            let began = Instant::now();
+            let render = renderer.view(&frame.camera)?;
+            seconds += began.elapsed().as_secs_f64();
+            Ok(render)
+        },
+        process: &|frame, render| {
+            let name = &frame.name;
+            let photograph = frame.image.load().map_err(Problem::from)?.over(background.rgb8());
+            let mut score = score_view(name, &render, &photograph).ok_or_else(|| {
+                let detail = format!("the render of {name} is not of its photograph's size");
+                Problem::new(ProblemType::Internal, detail)
+            })?;
+            if let Some(lpips) = lpips {
+                let distance = lpips.distance(&render, &photograph);
+                score.lpips = Some(distance.map_err(|fault| Problem::from(fault).in_file(name))?);
+            }
+            Ok((score, render, photograph))
+        },
+        collect: &mut |(score, render, photograph)| {
+            each(&score.name, &render, &photograph)?;
+            scores.push(score);
+            Ok(())
+        },
+    };
+    let in_flight = if lpips.is_some() { InFlight::One } else { InFlight::Several };
+    for_each_view(&dataset.split(Split::Test).collect::<Vec<_>>(), in_flight, tasks)?;
     Ok((mean_scores_with(&scores, lpips.map(Lpips::network)), seconds))
 }

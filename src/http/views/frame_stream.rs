@@ -1,15 +1,11 @@
-//! A sequence of pictures as one response body, each sent as soon as it is rendered.
+//! A sequence of pictures as one response body, each sent as soon as it is encoded.
 //!
-//! Invariants: a picture is rendered only once the client has read the one before the last, so memory is bounded by two pictures; while
-//! a job trains, a stream pauses after each picture for as long as it took to render, so it uses at most half of a shared adapter;
-//! an error of the first picture becomes a problem, since the response has not begun; after a later error the connection is broken
-//! off, so that the body does not look complete.
+//! Invariants: a picture is rendered once the one before it is, while that one is encoded; at most [`MAX_AHEAD`] pictures are made
+//! before the client reads them, so memory is bounded; while a job trains, a stream waits for each picture and then pauses for as long
+//! as it took, so it uses at most half of a shared adapter; an error of the first picture becomes a problem, since the response has not
+//! begun; after a later error the connection is broken off, so that the body does not look complete.
 
-use std::{
-    io,
-    pin::pin,
-    time::{Duration, Instant},
-};
+use std::{io, pin::pin, sync::Arc, time::Duration};
 
 use axum::{
     body::Body,
@@ -19,26 +15,29 @@ use axum::{
 use bytes::Bytes;
 use futures_util::stream;
 use tokio::{
-    sync::mpsc::{self, Sender},
+    sync::{
+        mpsc::{self, Receiver, Sender},
+        watch,
+    },
     time::{Interval, MissedTickBehavior, interval, sleep},
 };
+use tokio_util::task::AbortOnDropHandle;
 use tracing::Instrument as _;
 
 use super::{
-    apng::Apng,
     key::{Frame, ViewKey},
     picture::Picture,
     queue::QueueSlot,
-    view_renderer::{picture, render_with_permit},
+    view_renderer::{failed, picture},
 };
 use crate::{
     domain::KeyId,
-    http::{
-        auth::revocation::revoked,
-        problem::{ApiResult, ProblemResponse},
-        state::AppState,
-    },
+    http::{auth::revocation::revoked, problem::ApiResult, state::AppState},
+    picture::Apng,
 };
+
+/// Pictures that are made before the client reads them, and at most one a core.
+const MAX_AHEAD: usize = 4;
 
 /// The pictures of a response, how often and how fast they are shown.
 #[derive(Debug)]
@@ -91,41 +90,58 @@ pub(super) enum Multipart {
     Replace,
 }
 
-/// The state of a body that is being written.
+/// Writes pictures as parts of a body.
+#[derive(Debug, Clone)]
 enum BodyEncoder {
-    Multipart { kind: Multipart, boundary: String },
-    Apng(Option<Apng>),
+    Multipart { kind: Multipart, boundary: Arc<str> },
+    Apng(Apng),
 }
 
-/// A message to the response body; `End` distinguishes the end from a failed encoder.
+/// A message to the response body; `End` distinguishes the end from a producer that has failed.
 enum Piece {
-    More(Bytes),
+    First(Bytes),
+    /// The picture of this number, while it is made.
+    Started(u64, AbortOnDropHandle<ApiResult<Bytes>>),
     End,
+}
+
+/// How far a picture is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Progress {
+    Waiting,
+    Rendered,
+    /// The time that it took without waiting; zero if it was cached.
+    Finished(Duration),
 }
 
 impl FrameStream {
     /// The response; the slot is held until the last picture.
-    pub(super) async fn answer(self, state: &AppState, mut slot: QueueSlot, format: BodyFormat) -> ApiResult {
-        let (mut encoder, media_type) = self.encoder(&format)?;
+    pub(super) async fn answer(self, state: &AppState, slot: QueueSlot, format: BodyFormat) -> ApiResult {
+        let (encoder, media_type) = self.encoder(&format)?;
         let mut clock = self.every.map(interval);
         if let Some(clock) = &mut clock {
             // Pictures that were late are not sent faster afterwards.
             clock.set_missed_tick_behavior(MissedTickBehavior::Delay);
             clock.tick().await;
         }
-        let (first, render_time) =
-            encoder.piece(state, &mut slot, self.frames[0].clone(), 0, self.len() == 1).await?;
-        let (sender, receiver) = mpsc::channel(1);
+        let mut producer = FrameProducer {
+            state: state.clone(),
+            slot: Arc::new(slot),
+            encoder,
+            stream: Arc::new(self),
+            latest: watch::channel(Progress::Waiting).1,
+        };
+        let first = producer.piece(0).await?;
+        let ahead = state.view_renderer.encoders().min(MAX_AHEAD);
+        let (sender, receiver) = mpsc::channel(ahead);
         // The channel has capacity for one.
-        let _ = sender.try_send(Piece::More(first));
-        let producer = FrameProducer { state: state.clone(), slot, encoder, stream: self, render_time };
+        let _ = sender.try_send(Piece::First(first));
         tokio::spawn(producer.run(clock, sender).in_current_span());
         let body = stream::unfold(Some(receiver), |receiver| async {
             let mut receiver = receiver?;
-            match receiver.recv().await {
-                Some(Piece::More(bytes)) => Some((Ok(bytes), Some(receiver))),
-                Some(Piece::End) => None,
-                None => Some((Err(io::Error::from(io::ErrorKind::UnexpectedEof)), None)),
+            match next_bytes(&mut receiver).await {
+                Ok(bytes) => bytes.map(|bytes| (Ok(bytes), Some(receiver))),
+                Err(fault) => Some((Err(fault), None)),
             }
         });
         Ok(([(header::CONTENT_TYPE, media_type)], Body::from_stream(body)).into_response())
@@ -151,27 +167,43 @@ impl FrameStream {
                 };
                 let media_type = HeaderValue::try_from(format!("{media_type}; boundary={boundary}"));
                 let media_type = media_type?;
-                Ok((BodyEncoder::Multipart { kind, boundary }, media_type))
+                Ok((BodyEncoder::Multipart { kind, boundary: boundary.into() }, media_type))
             }
             BodyFormat::Apng { frames_per_second } => {
                 let size = self.frames[0].spec.camera.intrinsics;
                 let frames = u32::try_from(self.frames.len()).unwrap_or(u32::MAX);
-                let file = Apng::new(size.width, size.height, frames, frames_per_second)
-                    .map_err(|error| ProblemResponse::internal(&error))?;
-                Ok((BodyEncoder::Apng(Some(file)), HeaderValue::from_static("image/apng")))
+                let file = Apng { frames, rate: frames_per_second, size: [size.width, size.height] };
+                Ok((BodyEncoder::Apng(file), HeaderValue::from_static("image/apng")))
             }
         }
+    }
+}
+
+/// The next picture's part; `None` after the last.
+async fn next_bytes(receiver: &mut Receiver<Piece>) -> io::Result<Option<Bytes>> {
+    let broken_off = || io::Error::from(io::ErrorKind::UnexpectedEof);
+    match receiver.recv().await {
+        Some(Piece::First(bytes)) => Ok(Some(bytes)),
+        Some(Piece::Started(index, piece)) => match piece.await {
+            Ok(Ok(bytes)) => Ok(Some(bytes)),
+            fault => {
+                tracing::warn!("broken off after {index} pictures: {fault:?}");
+                Err(broken_off())
+            }
+        },
+        Some(Piece::End) => Ok(None),
+        None => Err(broken_off()),
     }
 }
 
 /// Renders the rest of a stream while the client reads.
 struct FrameProducer {
     state: AppState,
-    slot: QueueSlot,
+    slot: Arc<QueueSlot>,
     encoder: BodyEncoder,
-    stream: FrameStream,
-    /// How long the last picture took to render.
-    render_time: Duration,
+    stream: Arc<FrameStream>,
+    /// Of the latest picture.
+    latest: watch::Receiver<Progress>,
 }
 
 impl FrameProducer {
@@ -179,47 +211,62 @@ impl FrameProducer {
     ///
     /// It sets no time to read a picture in: the connection ends if its client reads too little.
     async fn run(mut self, mut clock: Option<Interval>, sender: Sender<Piece>) {
-        let mut early = pin!(self.stream.stop.early(self.state.clone()));
+        let stream = Arc::clone(&self.stream);
+        let mut early = pin!(stream.stop.early(self.state.clone()));
         for index in 1..self.stream.len() {
-            // Reserve first, so that nothing is rendered before the client can read it.
-            let slot = tokio::select! {
+            // Reserve first, so that nothing is rendered for which the client has left no room.
+            let room = tokio::select! {
                 () = &mut early => break,
-                slot = sender.reserve() => slot,
+                room = sender.reserve() => room,
             };
-            let Ok(slot) = slot else {
+            let Ok(room) = room else {
                 tracing::debug!("the client has gone after {index} pictures");
                 return;
             };
-            let piece = tokio::select! {
+            tokio::select! {
                 () = sender.closed() => return,
                 () = &mut early => break,
-                piece = self.piece(&mut clock, index) => piece,
-            };
-            match piece {
-                Ok(bytes) => slot.send(Piece::More(bytes)),
-                Err(fault) => {
-                    tracing::warn!("broken off after {index} pictures: {fault:?}");
-                    return;
-                }
+                () = self.turn(&mut clock) => {}
             }
+            let piece = tokio::spawn(self.piece(index).in_current_span());
+            room.send(Piece::Started(index, AbortOnDropHandle::new(piece)));
         }
         // A client that has disconnected misses nothing.
         let _ = sender.send(Piece::End).await;
     }
 
-    async fn piece(&mut self, clock: &mut Option<Interval>, index: u64) -> ApiResult<Bytes> {
-        if !self.render_time.is_zero() && training(&self.state).await {
-            sleep(self.render_time).await;
+    /// Waits until the next picture may be rendered.
+    async fn turn(&mut self, clock: &mut Option<Interval>) {
+        // A picture that failed has no progress; the body ends with it.
+        let _ = self.latest.wait_for(|progress| *progress != Progress::Waiting).await;
+        let was_cached = *self.latest.borrow() == Progress::Finished(Duration::ZERO);
+        if !was_cached && training(&self.state).await {
+            let _ = self.latest.wait_for(|progress| matches!(progress, Progress::Finished(_))).await;
+            let pause = match *self.latest.borrow() {
+                Progress::Finished(duration) => duration,
+                Progress::Waiting | Progress::Rendered => Duration::ZERO,
+            };
+            sleep(pause).await;
         }
         if let Some(clock) = clock {
             clock.tick().await;
         }
+    }
+
+    /// Makes a picture, which becomes the latest.
+    fn piece(&mut self, index: u64) -> impl Future<Output = ApiResult<Bytes>> + Send + use<> {
+        let (progress, latest) = watch::channel(Progress::Waiting);
+        self.latest = latest;
+        let (state, slot, encoder) = (self.state.clone(), Arc::clone(&self.slot), self.encoder.clone());
         let frame = self.stream.frames[(index % self.stream.frames.len() as u64) as usize].clone();
         let is_last = index + 1 == self.stream.len();
-        let (bytes, render_time) =
-            self.encoder.piece(&self.state, &mut self.slot, frame, index, is_last).await?;
-        self.render_time = render_time;
-        Ok(bytes)
+        async move {
+            let rendered = progress.clone();
+            let on_rendered = move || _ = rendered.send_replace(Progress::Rendered);
+            let (picture, timing) = picture(&state, &slot, frame, on_rendered).await?;
+            progress.send_replace(Progress::Finished(timing.render_time()));
+            encoder.part(&picture, index, is_last)
+        }
     }
 }
 
@@ -229,32 +276,13 @@ async fn training(state: &AppState) -> bool {
 }
 
 impl BodyEncoder {
-    /// The bytes of the next picture, and its render time.
-    async fn piece(
-        &mut self,
-        state: &AppState,
-        slot: &mut QueueSlot,
-        frame: Frame,
-        index: u64,
-        is_last: bool,
-    ) -> ApiResult<(Bytes, Duration)> {
+    /// The part of the body with the picture of this number.
+    fn part(&self, picture: &Picture, index: u64, is_last: bool) -> ApiResult<Bytes> {
         match self {
-            BodyEncoder::Multipart { kind, boundary } => {
-                let (picture, timing) = picture(state, slot, frame).await?;
-                Ok((part(*kind, boundary, &picture, index, is_last), timing.render_time()))
-            }
-            BodyEncoder::Apng(file) => {
-                slot.begin_picture();
-                let permit = slot.permit().await;
-                let animation =
-                    file.take().ok_or_else(|| ProblemResponse::internal(&io::Error::other("no file")))?;
-                let began = Instant::now();
-                let (next, bytes) = render_with_permit(state, permit, frame, move |rendered, _| {
-                    animation.add(&rendered, is_last)
-                })
-                .await?;
-                *file = next;
-                Ok((bytes, began.elapsed()))
+            Self::Multipart { kind, boundary } => Ok(part(*kind, boundary, picture, index, is_last)),
+            Self::Apng(file) => {
+                let index = u32::try_from(index).unwrap_or(u32::MAX);
+                Ok(file.part(index, &picture.bytes).map_err(|error| failed(&error))?.into())
             }
         }
     }

@@ -52,9 +52,14 @@ impl ViewKey {
     /// The key of a frame rendered by `identity`. The camera is rounded to f32, as on the device, so one pose has one key however it
     /// was written.
     pub(super) fn new(identity: &str, frame: &FrameSpec) -> Self {
+        Self::encoded_by(frame.kind.encoder(), identity, frame)
+    }
+
+    /// The key of a frame that is encoded by another encoder or with other settings of it.
+    fn encoded_by(encoder: &str, identity: &str, frame: &FrameSpec) -> Self {
         let FrameSpec { artifact, camera: Camera { intrinsics: k, pose }, kind } = frame;
         let mut text = format!(
-            "tcgs {} view by {identity} of {artifact} as {kind:?} {}x{}",
+            "tcgs {} view by {identity} of {artifact} as {kind:?} by {encoder} {}x{}",
             env!("CARGO_PKG_VERSION"),
             k.width,
             k.height
@@ -154,10 +159,13 @@ mod tests {
             with(&|frame| frame.kind.output = Output::Depth),
             with(&|frame| frame.kind.format = Format::Webp),
             with(&|frame| frame.kind.quality = 1),
+            ViewKey::encoded_by("another encoder", "renderer", &frame),
+            ViewKey::encoded_by("another encoder 2.0", "renderer", &frame),
         ];
         for (index, key) in keys.iter().enumerate() {
             assert!(!keys[..index].contains(key), "{index}");
         }
+        assert_eq!(ViewKey::encoded_by(frame.kind.encoder(), "renderer", &frame), keys[0]);
         let many = |how| ViewKey::of_many(keys.into_iter(), how);
         assert_ne!(many("slowly"), many("fast"));
         assert_eq!(many("fast"), many("fast"));

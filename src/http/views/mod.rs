@@ -1,6 +1,5 @@
 //! Rendered views of a finished job's scene: one or several here, streams and animations in [`sequence`].
 
-mod apng;
 mod camera;
 mod frame_stream;
 mod key;
@@ -133,8 +132,8 @@ async fn single(state: &AppState, caller: &Caller, frame: Frame) -> ApiResult {
     let (picture, timing) = match state.view_renderer.cached(frame.key()) {
         Some(found) => found,
         None => {
-            let mut slot = state.view_renderer.queue.enter(caller.key, Admission::Request(1))?;
-            picture(state, &mut slot, frame).await?
+            let slot = state.view_renderer.queue.enter(caller.key, Admission::Request(1))?;
+            picture(state, &slot, frame, || ()).await?
         }
     };
     Ok(answer(picture, &timing))

@@ -1,15 +1,10 @@
 //! Rendered views as files.
 
-use std::io::Cursor;
-
 use bytes::Bytes;
-use image::{
-    ExtendedColorType, ImageEncoder as _, ImageError,
-    codecs::{jpeg::JpegEncoder, png::PngEncoder, webp::WebPEncoder},
-};
 
 use crate::{
     domain::{Image, named_choice},
+    picture::{PictureError, PictureFormat, deep_grey_png, grey_png},
     render::views::ScalarImage,
 };
 
@@ -104,6 +99,21 @@ impl PictureKind {
         };
         Ok(Self { output, format, quality })
     }
+
+    /// The name, version and settings of what encodes it.
+    pub(super) fn encoder(self) -> &'static str {
+        self.file_format().map_or("NumPy's array format, version 1.0", PictureFormat::encoder)
+    }
+
+    /// `None` for arrays.
+    fn file_format(self) -> Option<PictureFormat> {
+        match self.format {
+            Format::Png => Some(PictureFormat::Png),
+            Format::Jpeg => Some(PictureFormat::Jpeg { quality: self.quality }),
+            Format::Webp => Some(PictureFormat::Webp),
+            Format::Npy => None,
+        }
+    }
 }
 
 /// A rendered view.
@@ -124,10 +134,12 @@ pub(crate) struct Picture {
 
 impl Picture {
     /// Encodes a rendered view.
-    pub(crate) fn encode(rendered: &Rendered, kind: PictureKind) -> Result<Self, ImageError> {
-        let PictureKind { format, quality, .. } = kind;
+    pub(crate) fn encode(rendered: &Rendered, kind: PictureKind) -> Result<Self, PictureError> {
+        let format = kind.format;
         let (bytes, depth_scale) = match (rendered, format) {
-            (Rendered::Color(image), _) => (color(image, format, quality)?, None),
+            (Rendered::Color(image), _) => {
+                (kind.file_format().unwrap_or(PictureFormat::Png).encode(image)?, None)
+            }
             (Rendered::Depth(plane) | Rendered::Alpha(plane), Format::Npy) => (npy(plane), None),
             (Rendered::Depth(plane), _) => {
                 let (bytes, scale) = depth_png(plane)?;
@@ -152,31 +164,8 @@ impl Picture {
     }
 }
 
-/// JPEG has no alpha; transparent pixels are composited over black.
-fn color(image: &Image, format: Format, quality: u8) -> Result<Vec<u8>, ImageError> {
-    let flat;
-    let image = match format {
-        Format::Jpeg => {
-            flat = image.over([0; 3]);
-            &flat
-        }
-        _ => image,
-    };
-    let color = if image.channels() == 3 { ExtendedColorType::Rgb8 } else { ExtendedColorType::Rgba8 };
-    let (samples, width, height) = (image.samples(), image.width(), image.height());
-    let mut file = Cursor::new(Vec::new());
-    match format {
-        Format::Jpeg => {
-            JpegEncoder::new_with_quality(&mut file, quality).write_image(samples, width, height, color)?;
-        }
-        Format::Webp => WebPEncoder::new_lossless(&mut file).write_image(samples, width, height, color)?,
-        Format::Png | Format::Npy => PngEncoder::new(&mut file).write_image(samples, width, height, color)?,
-    }
-    Ok(file.into_inner())
-}
-
 /// 16-bit grey and its world units per step: the deepest pixel is 65535, an empty one 0.
-fn depth_png(plane: &ScalarImage) -> Result<(Vec<u8>, f64), ImageError> {
+fn depth_png(plane: &ScalarImage) -> Result<(Vec<u8>, f64), PictureError> {
     let deepest = plane.values.iter().copied().fold(0.0_f32, f32::max);
     let scale = if deepest > 0.0 { f64::from(deepest) / f64::from(u16::MAX) } else { 1.0 };
     let step = |depth: f32| {
@@ -184,21 +173,14 @@ fn depth_png(plane: &ScalarImage) -> Result<(Vec<u8>, f64), ImageError> {
         let least = if depth > 0.0 { 1.0 } else { 0.0 };
         (f64::from(depth) / scale).round().clamp(least, f64::from(u16::MAX)) as u16
     };
-    // The encoder takes 16-bit samples in the machine's own order.
-    let samples: Vec<u8> = plane.values.iter().flat_map(|depth| step(*depth).to_ne_bytes()).collect();
-    Ok((grey(plane, &samples, ExtendedColorType::L16)?, scale))
+    let samples: Vec<u16> = plane.values.iter().map(|depth| step(*depth)).collect();
+    Ok((deep_grey_png(&samples, plane.width, plane.height)?, scale))
 }
 
-fn alpha_png(plane: &ScalarImage) -> Result<Vec<u8>, ImageError> {
+fn alpha_png(plane: &ScalarImage) -> Result<Vec<u8>, PictureError> {
     let samples: Vec<u8> =
         plane.values.iter().map(|alpha| (alpha.clamp(0.0, 1.0) * 255.0).round() as u8).collect();
-    grey(plane, &samples, ExtendedColorType::L8)
-}
-
-fn grey(plane: &ScalarImage, samples: &[u8], color: ExtendedColorType) -> Result<Vec<u8>, ImageError> {
-    let mut file = Cursor::new(Vec::new());
-    PngEncoder::new(&mut file).write_image(samples, plane.width, plane.height, color)?;
-    Ok(file.into_inner())
+    grey_png(&samples, plane.width, plane.height)
 }
 
 /// Version 1.0 of NumPy's array format: `[height, width]` of little-endian float32.
@@ -219,6 +201,8 @@ fn npy(plane: &ScalarImage) -> Vec<u8> {
 
 #[cfg(test)]
 mod tests {
+    use std::io::Cursor;
+
     use super::*;
 
     fn kind(output: Output, format: Format) -> PictureKind {

@@ -6,7 +6,10 @@
 
 use std::{
     collections::VecDeque,
-    sync::{Arc, Mutex, MutexGuard, PoisonError},
+    sync::{
+        Arc, Mutex, MutexGuard, PoisonError,
+        atomic::{AtomicUsize, Ordering},
+    },
     time::{Duration, Instant},
 };
 
@@ -200,7 +203,7 @@ impl RenderQueue {
             error(admission, self.0.retry_after())
         })?;
         self.0.state().unstarted += unstarted;
-        Ok(QueueSlot { shared: Arc::clone(&self.0), caller, unstarted, _slot: slot })
+        Ok(QueueSlot { shared: Arc::clone(&self.0), caller, unstarted: unstarted.into(), _slot: slot })
     }
 }
 
@@ -209,15 +212,15 @@ impl RenderQueue {
 pub(super) struct QueueSlot {
     shared: Arc<Shared>,
     caller: CallerId,
-    unstarted: usize,
+    unstarted: AtomicUsize,
     _slot: Slot<CallerId>,
 }
 
 impl QueueSlot {
     /// Counts one of the request's pictures as started, with a permit or without.
-    pub(super) fn begin_picture(&mut self) {
-        if self.unstarted > 0 {
-            self.unstarted -= 1;
+    pub(super) fn begin_picture(&self) {
+        let one_less = |unstarted: usize| unstarted.checked_sub(1);
+        if self.unstarted.fetch_update(Ordering::Relaxed, Ordering::Relaxed, one_less).is_ok() {
             self.shared.state().unstarted -= 1;
         }
     }
@@ -239,7 +242,7 @@ impl QueueSlot {
 
 impl Drop for QueueSlot {
     fn drop(&mut self) {
-        self.shared.state().unstarted -= self.unstarted;
+        self.shared.state().unstarted -= *self.unstarted.get_mut();
     }
 }
 

@@ -50,6 +50,7 @@ pub(crate) struct ViewRenderer {
     cache: Cache<ViewKey, Picture, Bytes>,
     /// For pictures that are encoded while the next one is rendered.
     encoders: Arc<Semaphore>,
+    encoder_count: usize,
 }
 
 /// How long the steps of a picture took.
@@ -106,12 +107,17 @@ impl ViewRenderer {
         };
         let cores = available_parallelism().map_or(1, usize::from);
         let encoders = Arc::new(Semaphore::new(cores));
-        Self { queue, cache, encoders }
+        Self { queue, cache, encoders, encoder_count: cores }
     }
 
     /// How many pictures are rendered and how many wait for a permit.
     pub(crate) fn depth(&self) -> (usize, usize) {
         self.queue.depth()
+    }
+
+    /// Pictures that are encoded at a time without a render permit.
+    pub(super) fn encoders(&self) -> usize {
+        self.encoder_count
     }
 
     /// The picture if it is cached.
@@ -120,11 +126,12 @@ impl ViewRenderer {
     }
 }
 
-/// The picture of a frame, from the cache or rendered with a permit.
+/// The picture of a frame, from the cache or rendered with a permit. Calls `on_rendered` before it encodes the picture.
 pub(super) async fn picture(
     state: &AppState,
-    slot: &mut QueueSlot,
+    slot: &QueueSlot,
     frame: Frame,
+    on_rendered: impl FnOnce() + Send + 'static,
 ) -> ApiResult<(Picture, Timing)> {
     let view_renderer = &state.view_renderer;
     let (key, kind) = (frame.key(), frame.spec.kind);
@@ -137,6 +144,7 @@ pub(super) async fn picture(
     let permit = slot.permit().await;
     let queue = entered.elapsed();
     let made = render_with_permit(state, permit, frame, move |rendered, timing| {
+        on_rendered();
         let began = Instant::now();
         let picture = Picture::encode(&rendered, kind).map_err(|error| failed(&error))?;
         Ok((picture, Timing { queue, encode: began.elapsed(), ..timing }))
@@ -149,7 +157,7 @@ pub(super) async fn picture(
 
 /// Renders and finishes a frame on a blocking thread, even if the request is cancelled. It gives the permit back once the frame is
 /// rendered, or at its end if as many others are being finished as there are cores.
-pub(super) async fn render_with_permit<T: Send + 'static>(
+async fn render_with_permit<T: Send + 'static>(
     state: &AppState,
     permit: RenderPermit,
     frame: Frame,

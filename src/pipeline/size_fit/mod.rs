@@ -26,7 +26,7 @@ use crate::{
     domain::{
         AnchorScene, AttributeGroup, Background, ByteBudget, Frame, GroupQstepLog2, Problem, ProblemType,
     },
-    eval::{mean_scores, measure_views, removal_costs},
+    eval::{mean_psnr, removal_costs},
     gpu::Device,
     render::SceneRenderer,
 };
@@ -308,8 +308,7 @@ impl Files<'_, '_> {
         (self.check)()?;
         self.renderer.replace(scene)?;
         let SizeFit { quality_views, background, .. } = *self.target;
-        let views = measure_views(&mut self.renderer, quality_views, background)?;
-        Ok(mean_scores(&views).psnr.unwrap_or(0.0))
+        Ok(mean_psnr(&mut self.renderer, quality_views, background)?)
     }
 
     /// Bytes of the smallest file, which states them as its target size: a run with that target can write it.

@@ -70,6 +70,32 @@ fn a_view_is_the_twins_view_in_8_bits() {
 }
 
 #[test]
+fn views_of_a_sequence_are_those_of_single_views() {
+    let (_, _, finished) = scene();
+    let mut renderer = SceneRenderer::new(&gpu(), &finished, Background::White).expect("a renderer");
+    let cameras = [(45, 37), (45, 37), (64, 16), (45, 37), (8, 8)].map(|(w, h)| random::camera(w, h));
+    let alone = cameras.each_ref().map(|camera| renderer.render(camera).expect("a view"));
+    let sequence: Result<Vec<_>, _> = renderer.views(cameras.into_iter()).collect();
+    assert_eq!(sequence.as_deref(), Ok(alone.as_slice()));
+    // A sequence that is not taken to its end leaves nothing behind.
+    let first = renderer.views(cameras.into_iter()).next();
+    assert_eq!(first, Some(Ok(alone[0].clone())));
+    assert_eq!(renderer.render(&cameras[2]).as_ref(), Ok(&alone[2]));
+}
+
+#[test]
+fn a_sequence_on_a_lost_device_ends_with_its_loss() {
+    let (_, _, finished) = scene();
+    let device = tcgs::gpu::Device::new(&choice()).expect("a device");
+    let mut renderer = SceneRenderer::new(&device, &finished, Background::White).expect("a renderer");
+    let mut views = renderer.views(std::iter::repeat(random::camera(45, 37)));
+    views.next().expect("a view").expect("rendered");
+    device.destroy();
+    let found = views.next().expect("an outcome");
+    assert!(matches!(found, Err(RenderError::Gpu(_))), "{found:?}");
+}
+
+#[test]
 fn depth_and_alpha_are_the_twins() {
     let (rows, networks, finished) = scene();
     let camera = random::camera(45, 37);
@@ -242,7 +268,8 @@ fn images_are_packed_as_the_twin_packs_them_with_the_counters_behind() {
         let mut recorder = device.recorder("packing");
         packed.record(&device, &mut recorder, &on_device, &counted).expect("records");
         recorder.submit().expect("submits");
-        let (samples, read) = packed.read(&device).expect("reads");
+        let pending = packed.start_read(&device).expect("submits");
+        let (samples, read) = packed.finish_read(&device, pending).expect("reads");
         assert_eq!(read, counters);
         assert_eq!(samples.len(), 3 * pixels);
         for (sample, value) in samples.iter().zip(image.iter().flat_map(|pixel| &pixel[..3])) {

@@ -228,9 +228,7 @@ impl Measured {
         // The first pass makes kernels and buffers.
         let mut render_seconds = None;
         for _ in 0..2 {
-            let (scores, seconds) =
-                wiring::score(&renderer, &dataset, background, None, &mut |_, _, _| Ok(()))?;
-            render_seconds = (scores.views > 0).then(|| seconds / scores.views as f64);
+            render_seconds = wiring::render_seconds(&renderer, &dataset)?;
         }
         let high_band = wiring::high_band_error(&renderer, &dataset, background)?;
         let exports = runner
