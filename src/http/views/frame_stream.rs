@@ -181,18 +181,18 @@ impl FrameStream {
 
 /// The next picture's part; `None` after the last.
 async fn next_bytes(receiver: &mut Receiver<Piece>) -> io::Result<Option<Bytes>> {
-    let broken_off = || io::Error::from(io::ErrorKind::UnexpectedEof);
+    let unexpected_end = || io::Error::from(io::ErrorKind::UnexpectedEof);
     match receiver.recv().await {
         Some(Piece::First(bytes)) => Ok(Some(bytes)),
         Some(Piece::Started(index, piece)) => match piece.await {
             Ok(Ok(bytes)) => Ok(Some(bytes)),
             fault => {
                 tracing::warn!("broken off after {index} pictures: {fault:?}");
-                Err(broken_off())
+                Err(unexpected_end())
             }
         },
         Some(Piece::End) => Ok(None),
-        None => Err(broken_off()),
+        None => Err(unexpected_end()),
     }
 }
 
