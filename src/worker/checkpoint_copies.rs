@@ -85,11 +85,20 @@ impl Copier {
     async fn copy(&mut self) {
         let name = of_attempt(self.lease.job, self.lease.attempt);
         let mut is_complete = true;
-        for (path, version) in files_below(&self.folder) {
+        let listed = files_below(&self.folder, &mut |folder, error| {
+            is_complete = false;
+            // A file that is replaced while the folder is listed is found next time.
+            if error.kind() != io::ErrorKind::NotFound {
+                let error = &error as &dyn Error;
+                tracing::warn!(error, "checkpoints in {} cannot be listed: {error}", folder.display());
+            }
+        });
+        for (path, version) in listed {
             if self.copied.get(&path) == Some(&version) {
                 continue;
             }
             let Some(relative) = path.strip_prefix(&self.folder).ok().and_then(Path::to_str) else {
+                is_complete = false;
                 continue;
             };
             match self.files.save(&format!("{name}/{relative}"), &path).await {
@@ -140,21 +149,38 @@ async fn attempts_before(files: &SharedFiles, job: JobId, before: u32) -> Result
 }
 
 /// The checkpoint files below a folder, with the time of their last change and their length. Names that begin with a dot are files that
-/// are being written.
-fn files_below(folder: &Path) -> Vec<(PathBuf, (SystemTime, u64))> {
-    let Ok(entries) = fs::read_dir(folder) else { return Vec::new() };
+/// are being written. `failed` gets each entry that cannot be read, with the folder that it is in.
+fn files_below(folder: &Path, failed: &mut dyn FnMut(&Path, io::Error)) -> Vec<(PathBuf, (SystemTime, u64))> {
     let mut found = Vec::new();
-    for entry in entries.flatten() {
-        let Ok(metadata) = entry.metadata() else { continue };
-        if metadata.is_dir() {
-            found.extend(files_below(&entry.path()));
-        } else if !entry.file_name().as_encoded_bytes().starts_with(b".")
-            && let Ok(modified) = metadata.modified()
-        {
-            found.push((entry.path(), (modified, metadata.len())));
+    let entries = match fs::read_dir(folder) {
+        Ok(entries) => entries,
+        Err(error) => {
+            failed(folder, error);
+            return found;
+        }
+    };
+    for entry in entries {
+        let known = entry.and_then(|entry| {
+            let metadata = entry.metadata()?;
+            let modified = metadata.modified()?;
+            Ok((entry, metadata, modified))
+        });
+        match known {
+            Ok((entry, metadata, _)) if metadata.is_dir() => found.extend(files_below(&entry.path(), failed)),
+            Ok((entry, ..)) if entry.file_name().as_encoded_bytes().starts_with(b".") => {}
+            Ok((entry, metadata, modified)) => found.push((entry.path(), (modified, metadata.len()))),
+            Err(error) => failed(folder, error),
         }
     }
     found
+}
+
+/// Removes a folder and what is in it, if it is there.
+fn remove_folder(folder: &Path) -> io::Result<()> {
+    match fs::remove_dir_all(folder) {
+        Err(error) if error.kind() != io::ErrorKind::NotFound => Err(error),
+        _ => Ok(()),
+    }
 }
 
 /// Brings what an attempt resumes from below `root`, unless it is there already: the newest checkpoint of its job, or else of the job that
@@ -201,7 +227,8 @@ async fn fetch_job(files: &SharedFiles, root: &Path, job: JobId, before: u32) ->
     let folder = checkpoints::folder(root, job);
     // Complete before it has its name, so that no half of it is resumed from.
     let partial = folder.join(format!("fetched-{newest}"));
-    let _ = fs::remove_dir_all(&partial);
+    // Files of an interrupted fetch may be older than those of the bucket.
+    remove_folder(&partial)?;
     for attempt in attempts {
         let name = of_attempt(job, attempt);
         for file in files.below(&name).await? {
@@ -233,5 +260,43 @@ pub(super) async fn sweep(files: &SharedFiles, store: &dyn Store) {
     };
     if let Err(error) = swept.await {
         tracing::warn!(error = &error as &dyn Error, "unneeded checkpoints are not removed: {error}");
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn entries_that_cannot_be_read_are_told_and_hidden_files_are_not() {
+        let root = tempfile::tempdir().expect("a folder");
+        fs::create_dir(root.path().join("branch-0")).expect("made");
+        for name in ["step", ".step", "branch-0/step"] {
+            fs::write(root.path().join(name), "400").expect("written");
+        }
+        let mut failures = Vec::new();
+        let found =
+            files_below(root.path(), &mut |folder, error| failures.push((folder.to_owned(), error.kind())));
+        assert_eq!((found.len(), failures.len()), (2, 0));
+        // A file in the place of a folder, and a folder that is gone, cannot be listed by anybody.
+        for (name, kind) in [("step", io::ErrorKind::NotADirectory), ("gone", io::ErrorKind::NotFound)] {
+            let folder = root.path().join(name);
+            let found =
+                files_below(&folder, &mut |folder, error| failures.push((folder.to_owned(), error.kind())));
+            assert_eq!((found.len(), failures.pop()), (0, Some((folder, kind))));
+        }
+    }
+
+    #[test]
+    fn a_folder_that_is_not_there_is_removed_and_one_that_stays_is_an_error() {
+        let root = tempfile::tempdir().expect("a folder");
+        let folder = root.path().join("fetched-1");
+        fs::create_dir(&folder).expect("made");
+        fs::write(folder.join("step"), "100").expect("written");
+        remove_folder(&folder).expect("removed");
+        remove_folder(&folder).expect("not there");
+        fs::write(&folder, "a file").expect("written");
+        remove_folder(&folder).expect_err("not a folder");
+        assert!(folder.exists());
     }
 }
