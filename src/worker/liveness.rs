@@ -8,9 +8,16 @@ use std::{
     fs::{self, File, TryLockError},
     io,
     path::{Path, PathBuf},
+    time::Duration,
 };
 
 use crate::store::{Store, WorkerDeath};
+
+/// What the name of a file begins with that is not locked yet.
+const HIDDEN: &str = ".";
+
+/// How long a file may take to be locked. One that is older was left by a worker that was killed meanwhile.
+const LOCKED_WITHIN: Duration = Duration::from_secs(60);
 
 /// A worker's lock file; removed with this value, and unlocked at the end of the process.
 #[derive(Debug)]
@@ -20,12 +27,16 @@ pub(super) struct LivenessLock {
 }
 
 impl LivenessLock {
-    /// Locks the file of worker `id`.
+    /// Locks the file of worker `id`. It has its name once it is locked: an unlocked one is that of a dead worker.
     pub(super) fn acquire(folder: &Path, id: &str) -> io::Result<Self> {
         fs::create_dir_all(folder)?;
-        let path = folder.join(id);
-        let locked = File::create_new(&path)?;
+        let (path, hidden) = (folder.join(id), folder.join(format!("{HIDDEN}{id}")));
+        if path.exists() {
+            return Err(io::ErrorKind::AlreadyExists.into());
+        }
+        let locked = File::create_new(&hidden)?;
         locked.lock()?;
+        fs::rename(&hidden, &path)?;
         Ok(Self { path, _locked: locked })
     }
 }
@@ -38,8 +49,12 @@ impl Drop for LivenessLock {
     }
 }
 
-/// Ends the attempts of dead workers. On errors the next call tries again; in the end the leases expire.
-pub(super) async fn expire_dead_workers(folder: &Path, store: &dyn Store) {
+/// Ends the attempts of those dead workers that `is_wanted` names. On errors the next call tries again; in the end the leases expire.
+pub(super) async fn expire_dead_workers(
+    folder: &Path,
+    store: &dyn Store,
+    is_wanted: &(dyn Fn(&str) -> bool + Sync),
+) {
     let dead = match dead(folder) {
         Ok(dead) => dead,
         Err(error) if error.kind() == io::ErrorKind::NotFound => return,
@@ -48,7 +63,7 @@ pub(super) async fn expire_dead_workers(folder: &Path, store: &dyn Store) {
             return;
         }
     };
-    for (id, path) in dead {
+    for (id, path) in dead.into_iter().filter(|(id, _)| is_wanted(id)) {
         if expire_worker(store, &id, WorkerDeath::WithService).await
             && let Err(error) = fs::remove_file(&path)
         {
@@ -71,12 +86,26 @@ pub(super) async fn expire_worker(store: &dyn Store, id: &str, death: WorkerDeat
     true
 }
 
+/// Removes the file of a worker that has ended, if it has left one.
+pub(super) fn remove(folder: &Path, id: &str) {
+    match fs::remove_file(folder.join(id)) {
+        Err(error) if error.kind() != io::ErrorKind::NotFound => {
+            tracing::debug!("the lock file of {id} cannot be removed: {error}");
+        }
+        _ => {}
+    }
+}
+
 /// Names and files of workers whose process has ended.
 fn dead(folder: &Path) -> io::Result<Vec<(String, PathBuf)>> {
     let mut dead = Vec::new();
     for entry in fs::read_dir(folder)? {
         let entry = entry?;
         let Ok(id) = entry.file_name().into_string() else { continue };
+        if id.starts_with(HIDDEN) {
+            remove_abandoned(&entry.path());
+            continue;
+        }
         match File::options().write(true).open(entry.path()).map(|file| file.try_lock()) {
             Ok(Ok(())) => dead.push((id, entry.path())),
             Ok(Err(TryLockError::WouldBlock)) => {}
@@ -88,9 +117,29 @@ fn dead(folder: &Path) -> io::Result<Vec<(String, PathBuf)>> {
     Ok(dead)
 }
 
+/// Removes a file that was never locked, once it is old.
+fn remove_abandoned(path: &Path) {
+    let age = fs::metadata(path).and_then(|file| file.modified()).ok().and_then(|at| at.elapsed().ok());
+    if age.is_some_and(|age| age > LOCKED_WITHIN)
+        && let Err(error) = fs::remove_file(path)
+    {
+        tracing::debug!("{} cannot be removed: {error}", path.display());
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_file_that_is_not_locked_yet_is_no_dead_worker_and_goes_once_it_is_old() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join(".starting");
+        let file = File::create(&path).expect("made");
+        assert!(dead(folder.path()).expect("listed").is_empty() && path.exists());
+        file.set_modified(std::time::SystemTime::now() - 2 * LOCKED_WITHIN).expect("set");
+        assert!(dead(folder.path()).expect("listed").is_empty() && !path.exists());
+    }
 
     #[test]
     fn a_worker_is_dead_once_its_file_is_unlocked() {

@@ -5,10 +5,12 @@
 //! asks the child to drain and exit, and since the system closes it when the parent dies, no child outlives its parent.
 
 use std::{
+    collections::BTreeSet,
     ffi::OsString,
     path::PathBuf,
+    pin::pin,
     process::{ExitStatus, Stdio},
-    sync::Arc,
+    sync::{Arc, Mutex, MutexGuard, PoisonError},
     time::Duration,
 };
 
@@ -46,6 +48,8 @@ pub struct SuperviseConfig {
     pub blame_delay: Duration,
     /// Folder of the children's lock files ([`super::WorkerConfig::liveness_dir`]), if they have any.
     pub liveness_dir: Option<PathBuf>,
+    /// Pause between two searches for dead workers: on a busy machine a killed process holds its lock for a while.
+    pub liveness_interval: Duration,
 }
 
 impl SuperviseConfig {
@@ -71,6 +75,24 @@ impl SuperviseConfig {
             healthy_after: Duration::from_secs(60),
             blame_delay: Duration::from_millis(250),
             liveness_dir: None,
+            liveness_interval: Duration::from_secs(2),
+        }
+    }
+}
+
+/// The workers that this supervisor has started: their deaths are its own to classify, however soon their locks are free.
+#[derive(Debug, Default)]
+struct Started(Mutex<BTreeSet<String>>);
+
+impl Started {
+    fn ids(&self) -> MutexGuard<'_, BTreeSet<String>> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Ends the attempts of workers of earlier services whose process is gone.
+    async fn expire_earlier_workers(&self, config: &SuperviseConfig, store: &dyn Store) {
+        if let Some(folder) = &config.liveness_dir {
+            liveness::expire_dead_workers(folder, store, &|id| !self.ids().contains(id)).await;
         }
     }
 }
@@ -104,11 +126,18 @@ impl LiveWorkers {
 #[must_use]
 pub fn supervise(config: SuperviseConfig, store: Arc<dyn Store>, shutdown: CancellationToken) -> Supervisor {
     let config = Arc::new(config);
+    let started = Arc::new(Started::default());
     let mut tasks = JoinSet::new();
     let children = (0..config.workers)
         .map(|_| {
             let (pid, watched) = watch::channel(None);
-            tasks.spawn(keep_alive(Arc::clone(&config), Arc::clone(&store), pid, shutdown.clone()));
+            tasks.spawn(keep_alive(
+                Arc::clone(&config),
+                Arc::clone(&store),
+                Arc::clone(&started),
+                pid,
+                shutdown.clone(),
+            ));
             watched
         })
         .collect();
@@ -131,24 +160,39 @@ impl Supervisor {
 async fn keep_alive(
     config: Arc<SuperviseConfig>,
     store: Arc<dyn Store>,
+    started: Arc<Started>,
     pid: watch::Sender<Option<u32>>,
     shutdown: CancellationToken,
 ) {
     let mut early_deaths = 0_u32;
     while !shutdown.is_cancelled() {
-        if let Some(folder) = &config.liveness_dir {
-            liveness::expire_dead_workers(folder, &*store).await;
-        }
+        started.expire_earlier_workers(&config, &*store).await;
         let id = new_worker_id();
+        started.ids().insert(id.clone());
         let born = Instant::now();
         match start(&config, &id) {
             Ok(mut child) => {
                 pid.send_replace(child.id());
-                let status = wait_or_stop(&config, &mut child, &shutdown).await;
+                let status = {
+                    let mut waiting = pin!(wait_or_stop(&config, &mut child, &shutdown));
+                    loop {
+                        tokio::select! {
+                            status = &mut waiting => break status,
+                            () = sleep(config.liveness_interval) => {
+                                started.expire_earlier_workers(&config, &*store).await;
+                            }
+                        }
+                    }
+                };
                 pid.send_replace(None);
                 tracing::info!(worker = id, ?status, "worker {id} has ended");
                 let death = classify_death(&config, &shutdown).await;
-                liveness::expire_worker(&*store, &id, death).await;
+                if liveness::expire_worker(&*store, &id, death).await
+                    && let Some(folder) = &config.liveness_dir
+                {
+                    // One that was killed has left its file.
+                    liveness::remove(folder, &id);
+                }
             }
             Err(error) => {
                 tracing::error!(program = %config.program.display(), "no worker can be started: {error}")
@@ -161,6 +205,7 @@ async fn keep_alive(
             () = shutdown.cancelled() => {}
         }
     }
+    started.expire_earlier_workers(&config, &*store).await;
 }
 
 /// Whether a child that has just ended died alone.

@@ -105,6 +105,41 @@ async fn open(data: &Path) -> (Arc<dyn Store>, Blobs) {
     (Arc::new(store.expect("a database")), Blobs::open(data).expect("a blob store"))
 }
 
+#[cfg(unix)]
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_worker_that_takes_its_time_to_die_is_found_without_another_start() {
+    let fixture = Fixture::new().await;
+    let workers = fixture.data.path().join("workers");
+    std::fs::create_dir(&workers).expect("a folder");
+    let file = std::fs::File::create(workers.join("earlier")).expect("a file");
+    file.lock().expect("as a process that is still ending holds it");
+    let lost = fixture.add("succeed").await;
+    fixture.store.claim("earlier").await.expect("claimed").expect("a job");
+    let config = SuperviseConfig {
+        liveness_dir: Some(workers.clone()),
+        liveness_interval: Duration::from_millis(20),
+        ..SuperviseConfig::program("sleep".into(), vec!["600".into()], 1)
+    };
+    let supervisor = supervise(config, Arc::clone(&fixture.store), fixture.shutdown.clone());
+    let live = supervisor.live_workers();
+    eventually("the child runs", async || !live.pids().is_empty()).await;
+    assert!(workers.join("earlier").exists(), "its lock is held");
+    drop(file);
+    eventually("it is found dead", async || !workers.join("earlier").exists()).await;
+    assert_eq!(fixture.outcomes(lost).await, [Some(AttemptOutcome::Lost)]);
+    kill_all(&live);
+    fixture.shutdown.cancel();
+    within(supervisor.stopped()).await;
+}
+
+/// Ends children that do not listen.
+#[cfg(unix)]
+fn kill_all(live: &LiveWorkers) {
+    for pid in live.pids() {
+        Command::new("kill").arg(pid.to_string()).status().expect("kill runs");
+    }
+}
+
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_run_that_panics_fails_its_attempts_and_the_worker_lives() {
     let fixture = Fixture::new().await;
