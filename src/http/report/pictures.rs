@@ -18,7 +18,7 @@ pub(super) fn pictures(test: &Scores, held_out: Option<&HeldOut>) -> Markup {
             }
             @if !all.is_empty() {
                 details open[held_out.is_none()] {
-                    summary { "StoreStats of all " (all.len()) " views" }
+                    summary { "Figures of all " (all.len()) " views" }
                     table {
                         thead { tr { th scope="col" { "view" } th scope="col" { "PSNR, dB" } th scope="col" { "SSIM" } th scope="col" { "LPIPS" } } }
                         tbody {

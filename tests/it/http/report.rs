@@ -125,6 +125,19 @@ pub(super) async fn a_finished_job_is_reported_on_one_page(coverage: Coverage) {
         let said = if said == "λ" { "held-out views" } else { said };
         assert!(page.contains(said), "'{said}' is missing");
     }
+    // Names of types are no words: a rename in the code must not reach the page.
+    let is_identifier = |word: &&str| {
+        let humps = word
+            .as_bytes()
+            .windows(2)
+            .filter(|pair| pair[0].is_ascii_lowercase() && pair[1].is_ascii_uppercase());
+        word.len() > 4 && word.bytes().all(|byte| byte.is_ascii_alphanumeric()) && humps.count() > 0
+    };
+    let shown = elements.iter().filter(|element| !matches!(&*element.name, "script" | "style"));
+    let identifiers: Vec<&str> =
+        shown.flat_map(|element| element.text.split_whitespace()).filter(is_identifier).collect();
+    assert!(identifiers.is_empty(), "{identifiers:?}");
+    assert!(page.contains("Figures of all 1 views"), "the summary of the table");
     // What each stage costs: against floats, against rounded attributes, and the renderer against f64.
     for said in ["What each stage costs", "-0.300 dB", "-0.250 dB", "1.50e-7", "2.00e-6"] {
         assert!(page.contains(said), "'{said}' is missing");
