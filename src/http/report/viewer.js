@@ -115,20 +115,49 @@
 
   picture.draggable = false;
   viewer.classList.add('live');
+  // Pointers that are down, with where each is and where it began. One turns the scene, two move and zoom it.
+  const pointers = new Map();
+  const TAP = 8;
+  const pair = () => {
+    const [a, b] = pointers.values();
+    return { x: (a.x + b.x) / 2, y: (a.y + b.y) / 2, spread: Math.max(1, Math.hypot(a.x - b.x, a.y - b.y)) };
+  };
   picture.addEventListener('pointerdown', event => {
     moving = true;
+    const { clientX: x, clientY: y } = event;
+    pointers.set(event.pointerId, { x, y, from: [x, y] });
     picture.setPointerCapture(event.pointerId);
     event.preventDefault();
     viewer.focus();
   });
   picture.addEventListener('pointermove', event => {
-    if (!moving) return;
+    const pointer = pointers.get(event.pointerId);
+    if (!pointer) return;
     const scale = 3 / picture.clientWidth;
-    (event.shiftKey ? shift : turn)(event.movementX * scale * (event.shiftKey ? 0.4 : 1), event.movementY * scale * (event.shiftKey ? 0.4 : 1));
+    const before = pointers.size === 2 ? pair() : null;
+    const [across, down] = [event.clientX - pointer.x, event.clientY - pointer.y];
+    [pointer.x, pointer.y] = [event.clientX, event.clientY];
+    if (before) {
+      const after = pair();
+      shift((after.x - before.x) * scale * 0.4, (after.y - before.y) * scale * 0.4);
+      approach(before.spread / after.spread);
+    } else if (pointers.size === 1) {
+      if (event.shiftKey) shift(across * scale * 0.4, down * scale * 0.4); else turn(across * scale, down * scale);
+    }
   });
   for (const end of ['pointerup', 'pointercancel']) {
-    picture.addEventListener(end, () => { moving = false; rest(); });
+    picture.addEventListener(end, event => {
+      const pointer = pointers.get(event.pointerId);
+      pointers.delete(event.pointerId);
+      // A finger's vertical way scrolls the page until the viewer is tapped, then turns the scene until something else is touched.
+      const way = pointer ? Math.hypot(event.clientX - pointer.from[0], event.clientY - pointer.from[1]) : Infinity;
+      if (end === 'pointerup' && event.pointerType === 'touch' && way < TAP) viewer.classList.add('held');
+      if (pointers.size === 0) { moving = false; rest(); }
+    });
   }
+  document.addEventListener('pointerdown', event => {
+    if (!viewer.contains(event.target)) viewer.classList.remove('held');
+  });
   viewer.addEventListener('wheel', event => {
     event.preventDefault();
     approach(Math.exp(0.001 * event.deltaY));

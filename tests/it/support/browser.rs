@@ -149,4 +149,17 @@ impl Page {
             self.ask("Input.dispatchKeyEvent", json!({ "type": what, "key": name, "code": name })).await;
         }
     }
+    /// Takes the page for a phone's, with fingers.
+    pub async fn be_a_phone(&mut self) {
+        let metrics = json!({ "width": 390, "height": 844, "deviceScaleFactor": 2, "mobile": true });
+        self.ask("Emulation.setDeviceMetricsOverride", metrics).await;
+        self.ask("Emulation.setTouchEmulationEnabled", json!({ "enabled": true, "maxTouchPoints": 2 })).await;
+    }
+
+    /// What fingers do; each is where it stands.
+    pub async fn touch(&mut self, what: &str, fingers: &[(f64, f64)]) {
+        let points: Vec<Value> =
+            fingers.iter().enumerate().map(|(id, (x, y))| json!({ "x": x, "y": y, "id": id })).collect();
+        self.ask("Input.dispatchTouchEvent", json!({ "type": what, "touchPoints": points })).await;
+    }
 }

@@ -74,3 +74,52 @@ async fn the_viewer_of_a_report_turns_the_scene() {
     let views = page.requests.iter().filter(|url| url.contains(&format!("{job}/view?")));
     assert!(views.count() >= 4, "{:?}", page.requests);
 }
+
+/// The camera's distance from its target in each view that the page has asked for.
+fn distances(page: &Page) -> Vec<f64> {
+    let of = |url: &String| {
+        let url = reqwest::Url::parse(url).ok().filter(|url| url.path().ends_with("/view"))?;
+        let vector = |name: &str| -> Option<Vec<f64>> {
+            let (_, text) = url.query_pairs().find(|(found, _)| found == name)?;
+            text.split(',').map(|number| number.parse().ok()).collect()
+        };
+        let (from, to) = (vector("position")?, vector("look_at")?);
+        Some(from.iter().zip(&to).map(|(a, b)| (a - b).powi(2)).sum::<f64>().sqrt())
+    };
+    page.requests.iter().filter_map(of).collect()
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn fingers_pinch_the_viewer_and_scroll_its_page() {
+    let Some(program) = browser::find() else { return skip("Chromium is not installed") };
+    let server = Server::start(&Coverage::default()).await;
+    let job = server.succeeded().await;
+    let mut page = Page::open(program, &format!("http://{}{job}/report", server.address)).await;
+    page.be_a_phone().await;
+    let first = page.until(PIXELS, |pixels| is_full_and_not(pixels, &Value::Null)).await;
+    let middle = page.evaluate(MIDDLE).await;
+    let (x, y) = (middle[0].as_f64().expect("a place"), middle[1].as_f64().expect("a place"));
+
+    // Apart by five times as much as in the beginning.
+    page.touch("touchStart", &[(x - 10.0, y), (x + 10.0, y)]).await;
+    for step in 1..=8 {
+        let apart = 10.0 + 5.0 * f64::from(step);
+        page.touch("touchMove", &[(x - apart, y), (x + apart, y)]).await;
+    }
+    page.touch("touchEnd", &[]).await;
+    page.until(PIXELS, |pixels| is_full_and_not(pixels, &first)).await;
+    let distances = distances(&page);
+    let (began, ended) = (distances[0], *distances.last().expect("views"));
+    assert!((began / ended / 5.0 - 1.0).abs() < 0.05, "{distances:?}");
+
+    // A finger that goes up on the picture scrolls the page.
+    let scrolled = "Math.round(window.scrollY)";
+    let before = page.evaluate(scrolled).await.as_f64().expect("a number");
+    page.touch("touchStart", &[(x, y)]).await;
+    for step in 1..=10 {
+        page.touch("touchMove", &[(x, y - 15.0 * f64::from(step))]).await;
+    }
+    page.touch("touchEnd", &[]).await;
+    page.until(scrolled, |now| now.as_f64().is_some_and(|now| now > before + 50.0)).await;
+    assert_eq!(page.faults, Vec::<String>::new());
+}
