@@ -101,6 +101,53 @@ async fn the_session_with_curl_goes_as_it_is_written() {
     }
 }
 
+/// The commands for any HTTP client in README.
+fn readme_session() -> String {
+    let readme = fs::read_to_string(concat!(env!("CARGO_MANIFEST_DIR"), "/README.md")).expect("readable");
+    let (_, rest) = readme.split_once("Any HTTP client will do:").expect("the introduction");
+    let (_, block) = rest.split_once("```sh\n").expect("a block");
+    block.split_once("```").expect("its end").0.to_owned()
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn the_session_of_the_readme_waits_and_writes_no_problem_into_a_file() {
+    if ![("bash", "--version"), ("curl", "--version")]
+        .iter()
+        .all(|(program, argument)| there_is(program, &[argument]))
+    {
+        return;
+    }
+    let session = readme_session();
+    let run = async |server: &Server, session: &str| {
+        let folder = tempfile::tempdir().expect("a folder");
+        fs::rename(scene(folder.path()), folder.path().join("scene.zip")).expect("moved");
+        let session = session
+            .replace("http://127.0.0.1:8080", &format!("http://{}", server.address))
+            .replace("images/view_06.png", "test/r_0");
+        let mut command = Command::new("bash");
+        command.args(["-uc", &session]).current_dir(folder.path()).stdin(Stdio::null());
+        let output =
+            tokio::task::spawn_blocking(move || command.output().expect("starts")).await.expect("ran");
+        (folder, output)
+    };
+    let server = Server::start(&Coverage::default()).await;
+    let (folder, output) = run(&server, &session).await;
+    assert!(output.status.success(), "{output:?}");
+    let file = |name: &str| fs::read(folder.path().join(name)).expect(name);
+    assert_eq!(file("scene.tcgs"), fakes::FILE);
+    for name in ["frame.png", "pose.png"] {
+        assert!(file(name).starts_with(b"\x89PNG"), "{name}");
+    }
+    // What is refused writes nothing.
+    let broken =
+        session.replace("/artifact\"", "/artifact?nothing=1\"").replace("/view?", "/view?nothing=1&");
+    let (folder, output) = run(&server, &broken).await;
+    assert!(!output.status.success(), "{output:?}");
+    for name in ["scene.tcgs", "frame.png", "pose.png"] {
+        assert!(!folder.path().join(name).exists(), "{name}");
+    }
+}
+
 #[tokio::test]
 async fn the_check_of_a_message_tells_the_services_own_from_others() {
     if !there_is("python3", &["--version"]) {
