@@ -12,10 +12,14 @@ use tcgs::{
 
 use super::{
     CliError, Report,
+    notice::notice,
     projects::{OrNone, ProjectLimitFlags},
     storage::StorageFlags,
     wiring,
 };
+
+/// The name of [`ProjectId::DEFAULT`].
+const DEFAULT_PROJECT: &str = "default";
 
 /// Arguments of `tcgs keys`.
 #[derive(Debug, clap::Args)]
@@ -55,8 +59,9 @@ struct CreateArgs {
     #[arg(long, value_delimiter = ',', default_value = "read,scenes:write,jobs:write")]
     scopes: Vec<Scope>,
 
-    /// Project that it belongs to, as `tcgs projects list` shows it [default: a new one with the key's name]
-    #[arg(long, value_name = "ID")]
+    /// Project that it belongs to: an id as `tcgs projects list` shows it, or `default`, which has what was made without a key
+    /// [default: a new one with the key's name]
+    #[arg(long, value_name = "ID|default", value_parser = project)]
     project: Option<ProjectId>,
 
     /// When it expires, as 2027-01-31T00:00:00Z [default: never]
@@ -96,7 +101,7 @@ struct ListArgs {
     all: bool,
 
     /// Show the keys of this project alone
-    #[arg(long, value_name = "ID")]
+    #[arg(long, value_name = "ID|default", value_parser = project)]
     project: Option<ProjectId>,
 }
 
@@ -104,6 +109,31 @@ struct ListArgs {
 struct RevokeArgs {
     /// The key's id, as `tcgs keys list` shows it
     id: KeyId,
+}
+
+/// A project's id, or that of the project of everything that was made without a key.
+fn project(text: &str) -> Result<ProjectId, String> {
+    if text == DEFAULT_PROJECT {
+        return Ok(ProjectId::DEFAULT);
+    }
+    text.parse().map_err(|fault| {
+        format!("{fault}; it is an id as `tcgs projects list` shows it, or {DEFAULT_PROJECT}")
+    })
+}
+
+/// Says what the first key changes: from now on the service requires one, and the new key may not see what was made without one.
+fn note_first_key(before: &wiring::WithoutKeys, record: &KeyRecord) {
+    if !before.is_open {
+        return;
+    }
+    notice(format_args!("tcgs: note: from now on every request needs a key"));
+    if record.project_id != ProjectId::DEFAULT && !record.allows(Scope::Admin) && before.jobs > 0 {
+        let jobs = if before.jobs == 1 { "1 job is".to_owned() } else { format!("{} jobs are", before.jobs) };
+        notice(format_args!(
+            "tcgs: note: {jobs} of the project {DEFAULT_PROJECT}, which this key does not see; for a key that does: \
+             tcgs keys create --name NAME --project {DEFAULT_PROJECT}"
+        ));
+    }
 }
 
 /// Runs the action.
@@ -127,7 +157,9 @@ pub(crate) fn run(args: &Args) -> Result<Report, CliError> {
                 expires_at: create.expires_at,
                 requests_per_minute: create.requests_per_minute,
             };
+            let before = wiring::without_keys(&storage)?;
             let (record, key) = wiring::create_key(&storage, request)?;
+            note_first_key(&before, &record);
             let text = format!(
                 "{}\n\nThis is the only time that the key is shown. It is '{}', id {}, of project {}, and \
                  allows {}.",

@@ -19,6 +19,30 @@ use crate::cli::{CliError, notice::notice, storage::Storage};
 /// Keys per page of the list.
 const PAGE: u32 = 1000;
 
+/// What a service without keys has, before its first one.
+#[derive(Debug, Default)]
+pub(crate) struct WithoutKeys {
+    /// Whether there is a database without any key, of which requests need none.
+    pub(crate) is_open: bool,
+    /// Jobs that were made without a key.
+    pub(crate) jobs: u64,
+}
+
+/// What there is without keys; nothing where there is no database yet.
+pub(crate) fn without_keys(storage: &Storage) -> Result<WithoutKeys, CliError> {
+    if storage.lacks_database() {
+        return Ok(WithoutKeys::default());
+    }
+    with_store(storage, async |store| {
+        if !store.keys(None, true, None, 1).await?.is_empty() {
+            return Ok(WithoutKeys::default());
+        }
+        let usage = store.project_usage(Some(ProjectId::DEFAULT), None, 1).await?;
+        let jobs = usage.iter().flat_map(|usage| &usage.jobs).map(|(_, count)| count).sum();
+        Ok(WithoutKeys { is_open: true, jobs })
+    })
+}
+
 /// Creates a key.
 pub(crate) fn create_key(
     storage: &Storage,

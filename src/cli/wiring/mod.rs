@@ -36,7 +36,10 @@ use tcgs::{
 
 use export::fidelity;
 pub(crate) use export::{Baking, Packing, Quality, compare, export};
-pub(crate) use keys::{change_key, change_project, create_key, create_project, keys, projects, revoke_key};
+pub(crate) use keys::{
+    WithoutKeys, change_key, change_project, create_key, create_project, keys, projects, revoke_key,
+    without_keys,
+};
 pub(crate) use service::{ServeOptions, WorkerOptions, migrate, serve, worker};
 pub(crate) use upkeep::{back_up, fsck, restore};
 pub(crate) use viewer::{Advertised, ViewerOptions, viewer};

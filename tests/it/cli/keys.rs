@@ -1,5 +1,7 @@
 //! Keys on the command line, beside a service that runs.
 
+use tcgs::sample::{self, Settings};
+
 use crate::support::{
     program::{answers, succeeds, tcgs},
     service::Service,
@@ -59,6 +61,43 @@ async fn keys_are_made_and_revoked_beside_a_running_service() {
     let exposed = tcgs(in_data(&["serve", "--listen", "0.0.0.0:0", "--without-keys"]));
     assert_eq!(exposed.status.code(), Some(2));
     assert!(String::from_utf8_lossy(&exposed.stderr).contains("--without-keys"));
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn the_first_key_says_what_it_changes_and_the_default_project_is_known_by_name() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let data = folder.path().join("data");
+    let service = Service::start_with(&data, ["--workers", "0"]).await;
+    let archive = folder.path().join("scene.zip");
+    sample::write(&archive, &Settings { side: 16, points: 50, seed: 1 }).expect("written");
+    service.upload("", std::fs::read(archive).expect("readable")).await.expect(201);
+    let create = |arguments: &[&str]| {
+        let data = data.display().to_string();
+        let output =
+            tcgs([&["keys", "create", "--name", "me"], arguments, &["--data", &data, "--json"]].concat());
+        let said = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert!(output.status.success(), "{said}");
+        let made: serde_json::Value = serde_json::from_slice(&output.stdout).expect("JSON");
+        (made["key"].as_str().expect("a key").to_owned(), said)
+    };
+    let jobs = async |key: &str| {
+        let answer = service.send("GET", "/v1/jobs", |request| request.bearer_auth(key)).await.expect(200);
+        answer.json()["jobs"].as_array().expect("jobs").len()
+    };
+    let (own, said) = create(&[]);
+    for words in ["every request needs a key", "1 job is of the project default", "--project default"] {
+        assert!(said.contains(words), "'{said}' should say '{words}'");
+    }
+    assert_eq!(jobs(&own).await, 0);
+    let (shared, said) = create(&["--project", "default"]);
+    assert_eq!((jobs(&shared).await, said.as_str()), (1, ""));
+    let list =
+        answers(["keys", "list", "--json", "--project", "default", "--data", &data.display().to_string()]);
+    assert_eq!(list["keys"].as_array().expect("keys").len(), 1);
+    let unknown =
+        tcgs(["keys", "create", "--name", "x", "--project", "mine", "--data", &data.display().to_string()]);
+    assert_eq!(unknown.status.code(), Some(2));
+    assert!(String::from_utf8_lossy(&unknown.stderr).contains("tcgs projects list"), "{unknown:?}");
 }
 
 #[test]
