@@ -43,10 +43,18 @@ pub fn write(path: &Path, settings: &Settings) -> Result<Written, SampleError> {
     let files = files(settings)?;
     if is_zip {
         write_file(path, &zip_bytes(&files.entries)?)?;
-    } else {
-        for (name, bytes) in &files.entries {
-            write_file(&path.join(name), bytes)?;
+        return Ok(files.written);
+    }
+    let mut written = Vec::new();
+    for (name, bytes) in &files.entries {
+        let file = path.join(name);
+        if let Err(error) = write_file(&file, bytes) {
+            // So that a second try, once there is room, finds the folder as empty as the first did. The first error counts.
+            written.iter().for_each(|file| drop(fs::remove_file(file)));
+            drop(fs::remove_dir(path.join(IMAGES)));
+            return Err(error);
         }
+        written.push(file);
     }
     Ok(files.written)
 }
@@ -81,7 +89,11 @@ fn write_file(path: &Path, bytes: &[u8]) -> Result<(), SampleError> {
     if let Some(folder) = path.parent() {
         fs::create_dir_all(folder).map_err(io_error(folder))?;
     }
-    fs::write(path, bytes).map_err(io_error(path))
+    fs::write(path, bytes).map_err(|error| {
+        // A full disk leaves the beginning of the file, which is no use to anybody. The first error counts.
+        drop(fs::remove_file(path));
+        io_error(path)(error)
+    })
 }
 
 /// The entries as a zip without times, so that its bytes depend on theirs alone. Stored, since PNG is compressed.

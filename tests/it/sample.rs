@@ -5,10 +5,29 @@ use glam::{DVec3, Vec3};
 use tcgs::{
     domain::{Camera, Dataset, Frame, Layout, Split},
     ingest,
-    sample::{self, Settings},
+    sample::{self, SampleError, Settings},
 };
 
+use crate::support::small_disk::SmallDisk;
+
 const SMALL: Settings = Settings { side: 128, points: 3000, seed: 1 };
+
+#[cfg(target_os = "linux")]
+#[test]
+fn a_disk_that_fills_keeps_nothing_of_a_scene() {
+    let Some(disk) = SmallDisk::mount(1) else { return };
+    disk.fill();
+    let enough = Settings { side: 16, points: 50, seed: 1 };
+    for name in ["scene.zip", "scene"] {
+        // The second try meets the same disk, and not what the first one left.
+        for _ in 0..2 {
+            let error = sample::write(&disk.path().join(name), &enough).expect_err("no room");
+            assert!(matches!(error, SampleError::Io { .. }), "{error}");
+        }
+    }
+    disk.make_room();
+    sample::write(&disk.path().join("scene.zip"), &enough).expect("there is room again");
+}
 
 #[test]
 fn the_reader_takes_the_bundled_scene_as_folder_and_as_zip() {

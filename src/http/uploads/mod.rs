@@ -64,8 +64,16 @@ pub(super) async fn lock(
             ))
             .with_status(held)
     })?;
-    let record = state.store().upload(id).await?.ok_or_else(|| gone(id))?;
-    Ok((expect_open(state, record).await?, file))
+    let now = state.store().time().await?;
+    match state.store().upload(id).await? {
+        Some(record) if record.is_open(now) => Ok((record, file)),
+        _ => {
+            // Locking has made the file again, and no request asks for its removal any more.
+            drop(file);
+            state.blobs().remove_upload(id).await?;
+            Err(gone(id))
+        }
+    }
 }
 
 /// When an upload that is written to now expires.
