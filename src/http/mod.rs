@@ -55,7 +55,10 @@ fn router_without_metrics(state: AppState) -> Router {
 fn routes(state: AppState, more: Router<AppState>) -> Router {
     let uploads = Router::new()
         .route("/v1/uploads", options(uploads::options).post(uploads::create))
-        .route("/v1/uploads/{id}", head(uploads::head).patch(uploads::append).delete(uploads::delete))
+        .route(
+            "/v1/uploads/{id}",
+            head(uploads::head).patch(uploads::append).delete(uploads::delete).post(uploads::overridden),
+        )
         .layer(map_response(uploads::tus::stamp));
     more.route("/v1/jobs", get(jobs::list::list).post(jobs::create::create))
         .route("/v1/jobs/{id}", get(jobs::get).delete(jobs::actions::delete))

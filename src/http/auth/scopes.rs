@@ -44,6 +44,7 @@ const OPERATIONS: &[(&str, &str, Access)] = &[
     ("POST", "/v1/uploads", Needs(ScenesWrite)),
     ("HEAD", "/v1/uploads/{id}", Needs(ScenesWrite)),
     ("PATCH", "/v1/uploads/{id}", Needs(ScenesWrite)),
+    ("POST", "/v1/uploads/{id}", Needs(ScenesWrite)),
     ("DELETE", "/v1/uploads/{id}", Needs(ScenesWrite)),
     ("POST", "/v1/webhook-endpoints", Needs(JobsWrite)),
     ("GET", "/v1/webhook-endpoints", Needs(Read)),

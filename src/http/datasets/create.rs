@@ -21,7 +21,7 @@ use crate::{
         problem::{ApiResult, ProblemResponse},
         request::{
             CreateOutcome, CreateRequest, JsonBody, Parameters, Reservations, Resource, content_digest,
-            idempotency, idempotent, media_type, parse_json, read_json,
+            expect_no_coding, idempotency, idempotent, media_type, parse_json, read_json,
         },
         slots::Slot,
         state::AppState,
@@ -72,6 +72,7 @@ pub(crate) async fn create(
 ) -> ApiResult {
     let request = CreateRequest { state: &state, caller, uri: &uri, headers: &headers };
     let mut body = body.into_data_stream();
+    expect_no_coding(&headers)?;
     let outcome = match media_type(&headers).as_deref() {
         Some("application/zip" | "application/x-zip-compressed") => from_archive(request, &mut body).await?,
         Some("application/json") => from_upload(request, &mut body).await?,

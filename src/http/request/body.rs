@@ -5,7 +5,7 @@ use std::time::Duration;
 use axum::{
     body::BodyDataStream,
     extract::{FromRequest, Request},
-    http::{HeaderMap, header},
+    http::{HeaderMap, HeaderValue, header},
 };
 use bytes::Bytes;
 use futures_util::StreamExt as _;
@@ -30,8 +30,24 @@ pub(crate) fn media_type(headers: &HeaderMap) -> Option<String> {
     Some(value.split(';').next().unwrap_or_default().trim().to_ascii_lowercase())
 }
 
-/// 415 unless the media type is one of `accepted`.
+/// 415 for a body in a content coding, such as gzip: none is decoded, since what a body unpacks to has no bound here.
+pub(crate) fn expect_no_coding(headers: &HeaderMap) -> ApiResult<()> {
+    let given = headers.get_all(header::CONTENT_ENCODING);
+    let coding =
+        given.iter().find(|coding| !coding.as_bytes().trim_ascii().eq_ignore_ascii_case(b"identity"));
+    coding.map_or(Ok(()), |coding| {
+        let coding: String = String::from_utf8_lossy(coding.as_bytes()).chars().take(40).collect();
+        Err(ProblemType::UnsupportedMediaType
+            .because(format!(
+                "the Content-Encoding is {coding}; send the body as it is, without a content coding"
+            ))
+            .with_header(header::ACCEPT_ENCODING, HeaderValue::from_static("identity")))
+    })
+}
+
+/// 415 unless the media type is one of `accepted`, without a content coding.
 pub(crate) fn expect_media_type(headers: &HeaderMap, accepted: &[&str]) -> ApiResult<()> {
+    expect_no_coding(headers)?;
     let given = media_type(headers);
     if given.as_deref().is_some_and(|given| accepted.contains(&given)) {
         return Ok(());
@@ -228,6 +244,23 @@ mod tests {
             assert!(with(json), "{json}");
         }
         assert!(!with("application/json+ld") && !with("text/plain; application/json"));
+    }
+
+    #[test]
+    fn a_content_coding_is_called_by_its_name() {
+        let with = |value: &'static str| {
+            let headers = HeaderMap::from_iter([(header::CONTENT_ENCODING, value.parse().expect("a value"))]);
+            expect_no_coding(&headers).map_err(|problem| problem.into_problem().detail)
+        };
+        assert!(
+            expect_no_coding(&HeaderMap::new()).is_ok()
+                && with("identity").is_ok()
+                && with("Identity ").is_ok()
+        );
+        for coding in ["gzip", "br", "zstd", "deflate, gzip"] {
+            let detail = with(coding).expect_err(coding);
+            assert!(detail.starts_with(&format!("the Content-Encoding is {coding};")), "{detail}");
+        }
     }
 
     #[test]

@@ -13,8 +13,8 @@ mod reservation;
 
 pub(super) use accept::{accepts, prefers};
 pub(super) use body::{
-    ApiJson, JsonBody, Pieces, announced_length, expect_media_type, media_type, parse_json, present,
-    read_json, read_optional_json,
+    ApiJson, JsonBody, Pieces, announced_length, expect_media_type, expect_no_coding, media_type, parse_json,
+    present, read_json, read_optional_json,
 };
 pub(super) use etag::{Etag, IfMatch, not_modified};
 pub(super) use idempotency::{CreateOutcome, CreateRequest, Resource, idempotent};

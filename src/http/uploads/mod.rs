@@ -171,6 +171,27 @@ pub(super) async fn append(
     Ok((StatusCode::NO_CONTENT, headers).into_response())
 }
 
+/// `POST /v1/uploads/{id}` with `X-HTTP-Method-Override`: another method of the upload, from behind a proxy that lets only POST through.
+pub(super) async fn overridden(
+    state: State<AppState>,
+    caller: Caller,
+    path: Path<String>,
+    headers: HeaderMap,
+    body: Body,
+) -> ApiResult {
+    match headers.get(tus::METHOD_OVERRIDE).map(HeaderValue::as_bytes) {
+        Some(b"PATCH") => append(state, caller, path, headers, body).await,
+        Some(b"DELETE") => Ok(delete(state, caller, path, headers).await?.into_response()),
+        Some(b"HEAD") => head(state, caller, path, headers).await,
+        _ => {
+            let detail =
+                "POST stands for another method here: send X-HTTP-Method-Override: PATCH, DELETE or HEAD";
+            let allowed = HeaderValue::from_static("HEAD, PATCH, DELETE, POST");
+            Err(ProblemType::MethodNotAllowed.because(detail).with_header(header::ALLOW, allowed))
+        }
+    }
+}
+
 /// Checks that the request sends the next part, and locks the upload.
 async fn admit(state: &AppState, caller: &Caller, id: &str, headers: &HeaderMap) -> ApiResult<Part> {
     tus::expect_version(headers)?;

@@ -36,6 +36,7 @@ pub(super) const LENGTH: HeaderName = HeaderName::from_static("upload-length");
 pub(super) const OFFSET: HeaderName = HeaderName::from_static("upload-offset");
 pub(super) const METADATA: HeaderName = HeaderName::from_static("upload-metadata");
 pub(super) const EXPIRES: HeaderName = HeaderName::from_static("upload-expires");
+pub(super) const METHOD_OVERRIDE: HeaderName = HeaderName::from_static("x-http-method-override");
 const DEFER_LENGTH: HeaderName = HeaderName::from_static("upload-defer-length");
 const CHECKSUM: HeaderName = HeaderName::from_static("upload-checksum");
 

@@ -126,6 +126,7 @@ scenarios! {
         a_project_has_so_many_open_uploads,
         a_dataset_comes_in_parts_and_becomes_a_scene,
         headers_that_make_no_sense_are_named,
+        methods_come_through_proxies_as_post,
         parts_that_do_not_fit_change_nothing,
         an_upload_that_waits_too_long_is_over,
         room_is_kept_from_the_beginning,

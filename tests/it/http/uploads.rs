@@ -163,6 +163,7 @@ pub(super) async fn a_dataset_comes_in_parts_and_becomes_a_scene(coverage: Cover
     part(&server, &upload, 14, b"").await.expect_problem(410, "upload-gone");
     server.send("DELETE", made.header("location"), |request| request).await.expect(204);
     make_scene(&server, &upload).await.expect_problem(410, "upload-gone");
+    assert_eq!(server.services.blobs.uploads().await.expect("a list"), [], "nothing is made of what is gone");
 
     let bad = begin(&server, 3).await;
     part(&server, &bad, 0, b"bad").await.expect(204);
@@ -251,6 +252,52 @@ async fn an_upload_stays_until_its_scene_is_recorded() {
     make_scene(&server, &upload).await.expect_problem(503, "busy");
     server.store.set(None);
     make_scene(&server, &upload).await.expect(201);
+}
+
+pub(super) async fn methods_come_through_proxies_as_post(coverage: Coverage) {
+    let server = Server::start_with(&coverage, idle()).await;
+    let upload = begin(&server, 14).await;
+    let post = |method: &'static str, offset: usize, body: &'static str| {
+        server.send("POST", &upload, move |request| {
+            tus(request)
+                .header("x-http-method-override", method)
+                .header("upload-offset", offset)
+                .header("content-type", "application/offset+octet-stream")
+                .body(body)
+        })
+    };
+    let first = post("PATCH", 0, "succeed ").await.expect(204);
+    assert_eq!(first.header("upload-offset"), "8");
+    post("PATCH", 0, "again").await.expect_problem(409, "offset-mismatch");
+    assert_eq!(post("HEAD", 0, "").await.expect(200).header("upload-offset"), "8");
+    let refused = post("PUT", 0, "").await;
+    assert!(refused.header("allow").contains("PATCH"), "{:?}", refused.headers);
+    refused.expect_problem(405, "method-not-allowed");
+    server.send("POST", &upload, tus).await.expect_problem(405, "method-not-allowed");
+    post("DELETE", 0, "").await.expect(204);
+    server.send("HEAD", &upload, tus).await.expect(404);
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn bodies_in_a_content_coding_are_called_by_its_name() {
+    let server = Server::start_with(&Coverage::default(), idle()).await;
+    let upload = begin(&server, 3).await;
+    for (method, path, kind) in [
+        ("POST", "/v1/jobs", "application/zip"),
+        ("POST", "/v1/jobs", "application/json"),
+        ("POST", "/v1/scenes", "application/zip"),
+        ("POST", "/v1/scenes", "application/json"),
+        ("PATCH", &*upload, "application/offset+octet-stream"),
+    ] {
+        let answer = server.send(method, path, |request| {
+            let request = tus(request).header("content-type", kind).header("upload-offset", 0);
+            request.header("content-encoding", "gzip").body("\u{1f}")
+        });
+        let answer = answer.await;
+        assert_eq!(answer.header("accept-encoding"), "identity");
+        let detail = answer.expect_problem(415, "unsupported-media-type");
+        assert!(detail.contains("the Content-Encoding is gzip"), "{method} {path}: {detail}");
+    }
 }
 
 pub(super) async fn headers_that_make_no_sense_are_named(coverage: Coverage) {
