@@ -11,6 +11,9 @@ use super::choice::named_choice;
 /// Most iterations of a run.
 pub const MAX_ITERATIONS: u32 = 1_000_000;
 
+/// Fewest bytes that a target size may have. No file is smaller: its header, its manifest and its table of sections alone take more.
+pub const MIN_MAX_BYTES: u64 = 512;
+
 /// Most points of a rate-distortion curve.
 pub const MAX_CURVE_POINTS: usize = 8;
 
@@ -294,7 +297,9 @@ impl TrainOptions {
         let fault = |text: String| Err(OptionError::new("max_bytes", text));
         match self.max_bytes {
             None => Ok(()),
-            Some(0) => fault("a file has at least 1 byte".to_owned()),
+            Some(bytes) if bytes < MIN_MAX_BYTES => fault(format!(
+                "no file has {bytes} bytes or fewer; its container alone takes {MIN_MAX_BYTES}"
+            )),
             Some(_) if self.model != ModelKind::Tcgs => {
                 fault(format!("the model {} has no target size: it is written as floats", self.model))
             }
@@ -821,6 +826,7 @@ mod tests {
             set_option(&mut options, "rd_curve", text).and_then(|()| options.validated())
         };
         for text in ["0.004,0.0005,0.001", "[0.004, 0.0005, 1e-3]"] {
+            &[("max_bytes", "511")],
             let options = curve(text).expect("possible");
             assert_eq!(options.rd_curve, [0.004, 0.0005, 0.001]);
             let json = serde_json::to_string(&options).expect("JSON");

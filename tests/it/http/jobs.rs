@@ -88,6 +88,7 @@ pub(super) async fn what_is_wrong_with_a_dataset_or_an_option_is_said_before_a_j
         ("?colour=red", "colour"),
         ("?model=nerf", "model"),
         ("?max_bytes=0", "max_bytes"),
+        ("?max_bytes=10", "max_bytes"),
         ("?max_bytes=1000&model=scaffold", "max_bytes"),
         ("?max_bytes=1000&rd_curve=0.001", "max_bytes"),
         ("?rd_curve=", "rd_curve"),

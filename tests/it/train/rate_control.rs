@@ -272,11 +272,13 @@ fn the_program_says_how_small_a_file_can_be_and_names_the_files_of_a_curve() {
             .args(extra);
         command.output().expect("runs")
     };
-    let refused = train(&["--max-bytes", "100"]);
+    let impossible = train(&["--max-bytes", "100"]);
+    assert_eq!(impossible.status.code(), Some(2), "no step is trained for what no file can have");
+    let refused = train(&["--max-bytes", "1000"]);
     assert_eq!(refused.status.code(), Some(4));
     let problem: serde_json::Value = serde_json::from_slice(&refused.stdout).expect("one document");
     assert_eq!(problem["type"], "urn:tcgs:problem:max-bytes-unreachable");
-    assert!(problem["smallest_bytes"].as_u64() > Some(100), "{problem}");
+    assert!(problem["smallest_bytes"].as_u64() > Some(1000), "{problem}");
     assert!(!file.exists());
 
     let curve = train(&["--rd-curve", "0.004,0.0005"]);
