@@ -46,8 +46,8 @@ gate: setup ## hold PSNR, bytes and speed of two fixed scenes to scripts/gate.js
 	@$(CARGO) build --locked --quiet
 	@. scripts/env.sh && scripts/gate.py $(if $(UPDATE),--update)
 
-test: setup ## all tests, with a count of those that were skipped
-	@scripts/test.sh
+test: setup ## all tests, with a count of those that were skipped; first installs what they need, where it can
+	@. scripts/test_tools.sh; scripts/test.sh
 
 examples: setup ## run the documented session with curl and the client in Python against a service
 	@$(CARGO) test --locked --test it examples::

@@ -44,7 +44,11 @@ done
 wait "$run" 2>/dev/null
 status=$?
 
-[ ! -s "$TCGS_TEST_SKIPS" ] || { printf '\n'; sort -u "$TCGS_TEST_SKIPS"; }
+[ ! -s "$TCGS_TEST_SKIPS" ] || {
+    printf '\n'
+    sort -u "$TCGS_TEST_SKIPS"
+    printf '\n%s\n' "'make test' installs what these lack where it can: an S3 server and splat-transform through cargo and npm, the rest as root."
+}
 skipped=$(sed -n 's/^SKIPPED \([^:]*\(::[^:]*\)*\): .*/\1/p' "$TCGS_TEST_SKIPS" | sort -u | wc -l)
 awk -v skipped="$skipped" -v hung="${hung//$'\n'/,}" '
     /^test .* \.\.\. ok$/ { ok++ }
