@@ -3,29 +3,48 @@
 use glam::{DMat3, DVec3};
 
 use super::{Result, TrainError};
-use crate::domain::{Frame, Layout};
+use crate::domain::{Frame, Intrinsics};
 
-/// Half the side of the box that Blender sets are made in (METHOD.md §1.1).
-const BLENDER_HALF_SIDE: f64 = 1.3;
+/// Half the side of the published box of NeRF-synthetic sets (METHOD.md §1.1). Their cameras give it to 0.5 % by the rule below.
+const PUBLISHED_HALF_SIDE: f64 = 1.3;
 
-/// Half the side of any other box, in median distances of the cameras from its centre.
-const HALF_SIDE: f64 = 0.6;
+/// How far a box may be from the published one, in its half side, to be that one.
+const PUBLISHED_WITHIN: f64 = 0.02;
 
-/// Lowest and highest corner of the box: the published one for Blender datasets, else one around the point nearest to all optical
-/// axes, scaled by the cameras' distance from it.
-pub(super) fn init_bounds(layout: Layout, frames: &[&Frame]) -> ([f32; 3], [f32; 3]) {
-    let (center, half) = match layout {
-        Layout::Blender => (DVec3::ZERO, BLENDER_HALF_SIDE),
-        Layout::Nerfstudio | Layout::Colmap => {
-            let center = nearest_to_axes(frames);
-            let mut distances: Vec<f64> =
-                frames.iter().map(|frame| frame.camera.pose.center().distance(center)).collect();
-            distances.sort_by(f64::total_cmp);
-            let median = distances.get(distances.len() / 2).copied().unwrap_or(0.0);
-            (center, if median > 0.0 { HALF_SIDE * median } else { BLENDER_HALF_SIDE })
-        }
+/// Half the side of a box, in half the side of what a camera sees at the box's center.
+const SHARE_OF_VIEW: f64 = 0.9;
+
+/// The most of it, in median distances of the cameras from its center: wide lenses see far beyond what the cameras are turned to.
+const MAX_HALF_SIDE: f64 = 0.6;
+
+/// Lowest and highest corner of the box: around the point nearest to all optical axes, as large as the part that cameras at the median
+/// distance see of it. Neither position nor unit of the scene matters. Cameras of the published sets have the published box.
+pub(super) fn init_bounds(frames: &[&Frame]) -> ([f32; 3], [f32; 3]) {
+    let center = nearest_to_axes(frames);
+    let distance = median(frames.iter().map(|frame| frame.camera.pose.center().distance(center)).collect());
+    let view = median(frames.iter().map(|frame| half_view(&frame.camera.intrinsics)).collect());
+    let half = distance * (SHARE_OF_VIEW * view).min(MAX_HALF_SIDE);
+    let off = PUBLISHED_WITHIN * PUBLISHED_HALF_SIDE;
+    let is_published = center.abs().max_element() <= off && (half - PUBLISHED_HALF_SIDE).abs() <= off;
+    let (center, half) = if is_published {
+        (DVec3::ZERO, PUBLISHED_HALF_SIDE)
+    } else if half > 0.0 {
+        (center, half)
+    } else {
+        (center, PUBLISHED_HALF_SIDE)
     };
     ((center - half).as_vec3().to_array(), (center + half).as_vec3().to_array())
+}
+
+/// Half the longer side of what a camera sees at distance 1.
+fn half_view(k: &Intrinsics) -> f64 {
+    (f64::from(k.width) / (2.0 * k.fx)).max(f64::from(k.height) / (2.0 * k.fy))
+}
+
+/// The middle value, the larger one of two; 0 without any.
+fn median(mut values: Vec<f64>) -> f64 {
+    values.sort_by(f64::total_cmp);
+    values.get(values.len() / 2).copied().unwrap_or(0.0)
 }
 
 /// Least number of steps of single precision across the box.
@@ -66,7 +85,7 @@ fn nearest_to_axes(frames: &[&Frame]) -> DVec3 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::domain::{Camera, Image, Intrinsics, Pose, Split};
+    use crate::domain::{Camera, Image, Pose, Split};
 
     fn frame(position: DVec3, target: DVec3) -> Frame {
         let intrinsics = Intrinsics { fx: 4.0, fy: 4.0, cx: 2.0, cy: 2.0, width: 4, height: 4 };
@@ -92,10 +111,54 @@ mod tests {
                 .map(|offset| frame(target + offset, target))
                 .into();
         let frames: Vec<&Frame> = frames.iter().collect();
-        let corners = init_bounds(Layout::Nerfstudio, &frames);
+        let corners = init_bounds(&frames);
         assert!(middle(corners).distance(target) < 1e-4);
+        // These lenses see half a unit to each side at distance 1.
         let side = f64::from(corners.1[0] - corners.0[0]);
-        assert!((side - 1.2 * 26.0_f64.sqrt()).abs() < 1e-3, "{side}");
+        assert!((side - 0.9 * 26.0_f64.sqrt()).abs() < 1e-3, "{side}");
+    }
+
+    /// A hundred views of a target from the upper half of a sphere, with the lens of the NeRF-synthetic sets.
+    fn around(target: DVec3, radius: f64) -> Vec<Frame> {
+        let view = |index: i32| {
+            let (turn, up) = (2.4 * f64::from(index), (f64::from(index) + 0.5) / 100.0);
+            let flat = (1.0 - up * up).sqrt();
+            let position = target + radius * DVec3::new(flat * turn.cos(), flat * turn.sin(), up);
+            let mut frame = frame(position, target);
+            let focal = 400.0 / (0.691_111_2_f64 / 2.0).tan();
+            let intrinsics =
+                Intrinsics { fx: focal, fy: focal, cx: 400.0, cy: 400.0, width: 800, height: 800 };
+            frame.camera = Camera::new(intrinsics, frame.camera.pose).expect("a camera");
+            frame
+        };
+        (0..100).map(view).collect()
+    }
+
+    #[test]
+    fn cameras_of_the_published_sets_have_the_published_box_and_others_its_like_in_any_unit_and_place() {
+        let corners = |target: DVec3, unit: f64| {
+            let frames = around(target, 4.031_128_9 * unit);
+            init_bounds(&frames.iter().collect::<Vec<_>>())
+        };
+        assert_eq!(corners(DVec3::ZERO, 1.0), ([-1.3; 3], [1.3; 3]));
+        for unit in [0.1, 3.0, 10.0, 100.0] {
+            let target = DVec3::new(5.0, -7.0, 1.0) * unit;
+            let (low, high) = corners(target, unit);
+            assert!(middle((low, high)).distance(target) < 1e-4 * unit, "{unit}");
+            let half = f64::from(high[0] - low[0]) / 2.0;
+            assert!((half / (1.3 * unit) - 1.0).abs() < 0.01, "{unit}: {half}");
+        }
+    }
+
+    #[test]
+    fn wide_lenses_do_not_widen_the_box_beyond_the_cameras() {
+        let mut frames = around(DVec3::ZERO, 5.0);
+        for frame in &mut frames {
+            let wide = Intrinsics { fx: 200.0, fy: 200.0, ..frame.camera.intrinsics };
+            frame.camera = Camera::new(wide, frame.camera.pose).expect("a camera");
+        }
+        let (low, high) = init_bounds(&frames.iter().collect::<Vec<_>>());
+        assert!((f64::from(high[0] - low[0]) - 6.0).abs() < 1e-3, "{low:?} {high:?}");
     }
 
     #[test]
@@ -104,7 +167,7 @@ mod tests {
             let target = DVec3::new(distance, 0.0, 0.0);
             let frames = [DVec3::X, DVec3::Y, -DVec3::X].map(|offset| frame(target + offset, target));
             let frames: Vec<&Frame> = frames.iter().collect();
-            expect_resolved(init_bounds(Layout::Nerfstudio, &frames))
+            expect_resolved(init_bounds(&frames))
         };
         assert!(at(0.0).is_ok() && at(1000.0).is_ok());
         for distance in [1e5, 1e8, 1e9] {
@@ -114,11 +177,10 @@ mod tests {
     }
 
     #[test]
-    fn blender_sets_keep_the_published_box_and_parallel_axes_still_give_one() {
+    fn parallel_axes_still_give_a_box() {
         let ahead = [frame(DVec3::ZERO, DVec3::X), frame(DVec3::Y, DVec3::new(1.0, 1.0, 0.0))];
         let frames: Vec<&Frame> = ahead.iter().collect();
-        assert_eq!(init_bounds(Layout::Blender, &frames), ([-1.3; 3], [1.3; 3]));
-        let (low, high) = init_bounds(Layout::Colmap, &frames);
+        let (low, high) = init_bounds(&frames);
         assert!((0..3).all(|axis| low[axis].is_finite() && low[axis] < high[axis]));
         assert!(middle((low, high)).distance(DVec3::X) < 1e-5);
     }
