@@ -5,13 +5,16 @@ use std::path::PathBuf;
 use serde::Serialize;
 use tcgs::domain::{DatasetSummary, Intrinsics, NamedCamera};
 
-use super::{CliError, Report, wiring};
+use super::{CliError, Report, exif::ExifFlag, wiring};
 
 /// Arguments of `tcgs check`.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
     /// Folder or zip: Blender, nerfstudio or COLMAP layout
     dataset: PathBuf,
+
+    #[command(flatten)]
+    exif: ExifFlag,
 
     /// Print one JSON document
     #[arg(long)]
@@ -30,7 +33,7 @@ struct Checked {
 
 /// Checks tables in full and images by their headers; an unusable dataset is the command's failure.
 pub(crate) fn run(args: &Args) -> Result<Report, CliError> {
-    let (summary, cameras) = wiring::survey_dataset(&args.dataset)?;
+    let (summary, cameras) = wiring::survey_dataset(&args.dataset, args.exif.exif_orientation)?;
     let (smallest, largest) = sizes(&cameras);
     let checked = Checked { summary, smallest, largest };
     Ok(Report::new(text(&checked), &checked))

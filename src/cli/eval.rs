@@ -11,7 +11,8 @@ use tcgs::{
 };
 
 use super::{
-    CliError, Report, adapter::AdapterFlag, files, lpips::LpipsFlag, notice::notice, picture, wiring,
+    CliError, Report, adapter::AdapterFlag, exif::ExifFlag, files, lpips::LpipsFlag, notice::notice, picture,
+    wiring,
 };
 
 /// Arguments of `tcgs eval`.
@@ -30,6 +31,9 @@ pub(crate) struct Args {
     /// Also print a table of the views
     #[arg(long)]
     per_view: bool,
+
+    #[command(flatten)]
+    exif: ExifFlag,
 
     #[command(flatten)]
     lpips: LpipsFlag,
@@ -73,7 +77,8 @@ pub(crate) fn run(args: &Args) -> Result<Report, CliError> {
     let in_file = |problem: tcgs::domain::Problem| problem.in_file(file.display().to_string());
     let (decoded, decode_seconds) = timed(|| wiring::read(&bytes).map_err(in_file))?;
     let byte_counts = decoded.byte_counts.clone();
-    let (dataset, ingest_seconds) = timed(|| wiring::load_dataset(dataset_path))?;
+    let (dataset, ingest_seconds) =
+        timed(|| wiring::load_oriented(dataset_path, args.exif.exif_orientation))?;
 
     let same_dataset = decoded.dataset.map(|digest| digest == dataset.digest);
     if same_dataset == Some(false) {

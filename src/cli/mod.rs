@@ -17,6 +17,7 @@ mod doctor;
 mod encode;
 mod error;
 mod eval;
+mod exif;
 mod export;
 mod files;
 mod inspect;

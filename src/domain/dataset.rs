@@ -25,6 +25,18 @@ named_choice! {
     }
 }
 
+named_choice! {
+    /// Whether photographs are turned as the EXIF orientation in them says.
+    pub enum ExifOrientation {
+        /// Where the cameras are those of the turned pixels.
+        Auto = "auto",
+        /// Always.
+        Apply = "apply",
+        /// Never.
+        Ignore = "ignore",
+    }
+}
+
 /// The split that a frame belongs to.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
@@ -92,7 +104,7 @@ pub struct Dataset {
     pub layout: Layout,
     /// Train and test frames.
     pub frames: Vec<Frame>,
-    /// The point cloud, absent for Blender sets.
+    /// The point cloud, if the dataset has one.
     pub points: Option<PointCloud>,
     /// SHA-256 over the content that was read (names and bytes in name order), independent of zip or directory.
     pub digest: Digest,

@@ -78,7 +78,7 @@ pub use context_model::{
 };
 pub use conventions::{Conventions, LpipsNetwork};
 pub use convergence::{AsideScore, Convergence};
-pub use dataset::{Dataset, DatasetSummary, Frame, Layout, NamedCamera, PointCloud, Split};
+pub use dataset::{Dataset, DatasetSummary, ExifOrientation, Frame, Layout, NamedCamera, PointCloud, Split};
 #[cfg(feature = "service")]
 pub(crate) use defaults::with_defaults;
 pub use digest::Digest;

@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use thiserror::Error;
 
-use super::choice::named_choice;
+use super::{choice::named_choice, dataset::ExifOrientation};
 
 /// Most iterations of a run.
 pub const MAX_ITERATIONS: u32 = 1_000_000;
@@ -183,6 +183,9 @@ pub struct TrainOptions {
     pub max_bytes: Option<u64>,
     /// Weights of the rate term, each for a branch of the run with its own file; empty for one run and one file.
     pub rd_curve: Vec<f64>,
+    /// Whether photographs are turned as their EXIF orientation says; serialised only if it is stated.
+    #[serde(skip_serializing_if = "is_auto")]
+    pub exif_orientation: ExifOrientation,
 }
 
 /// Whether a number stays positive and normal in single precision.
@@ -193,6 +196,11 @@ fn is_positive(value: f64) -> bool {
 #[expect(clippy::trivially_copy_pass_by_ref, reason = "serde passes a reference")]
 fn is_full(until: &Until) -> bool {
     *until == Until::Full
+}
+
+#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde passes a reference")]
+fn is_auto(orientation: &ExifOrientation) -> bool {
+    *orientation == ExifOrientation::Auto
 }
 
 impl Default for TrainOptions {
@@ -210,6 +218,7 @@ impl Default for TrainOptions {
             lambda: None,
             max_bytes: None,
             rd_curve: Vec::new(),
+            exif_orientation: ExifOrientation::Auto,
         }
     }
 }
@@ -472,7 +481,7 @@ impl TrainOption {
 
 /// Every option of a training run. The command line's flags, the query string and JSON are read by it, and a test holds `openapi.yaml`
 /// to it.
-pub static TRAIN_OPTIONS: [TrainOption; 13] = [
+pub static TRAIN_OPTIONS: [TrainOption; 14] = [
     TrainOption {
         name: "preset",
         kind: OptionKind::Choice(Preset::NAMES),
@@ -595,6 +604,15 @@ pub static TRAIN_OPTIONS: [TrainOption; 13] = [
             weights.map(|weights| options.rd_curve = weights)
         },
     },
+    TrainOption {
+        name: "exif_orientation",
+        kind: OptionKind::Choice(ExifOrientation::NAMES),
+        default: Some("auto"),
+        help: Some(
+            "EXIF orientation of photographs: auto applies it where cameras and points agree with the turned pixels",
+        ),
+        set: |options, text| text.parse().ok().map(|orientation| options.exif_orientation = orientation),
+    },
 ];
 
 /// As much of a value as a message repeats.
@@ -641,7 +659,8 @@ mod tests {
     #[test]
     fn every_field_has_its_row_with_its_default() {
         let with = Component::ALL.iter().copied().collect();
-        let all = TrainOptions { with, until: Until::Converged, ..TrainOptions::default() };
+        let exif_orientation = ExifOrientation::Ignore;
+        let all = TrainOptions { with, until: Until::Converged, exif_orientation, ..TrainOptions::default() };
         let fields = serde_json::to_value(all).expect("JSON");
         let fields: BTreeSet<&str> =
             fields.as_object().expect("an object").keys().map(String::as_str).collect();
@@ -807,6 +826,7 @@ mod tests {
         assert_eq!(validated(&[("max_bytes", "50000")]).expect("possible").max_bytes, Some(50_000));
         for wrong in [
             &[("max_bytes", "0")][..],
+            &[("max_bytes", "511")],
             &[("max_bytes", "50000"), ("model", "scaffold")],
             &[("max_bytes", "50000"), ("model", "3dgs")],
             &[("max_bytes", "50000"), ("rd_curve", "0.001")],
@@ -826,7 +846,6 @@ mod tests {
             set_option(&mut options, "rd_curve", text).and_then(|()| options.validated())
         };
         for text in ["0.004,0.0005,0.001", "[0.004, 0.0005, 1e-3]"] {
-            &[("max_bytes", "511")],
             let options = curve(text).expect("possible");
             assert_eq!(options.rd_curve, [0.004, 0.0005, 0.001]);
             let json = serde_json::to_string(&options).expect("JSON");

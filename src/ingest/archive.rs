@@ -17,14 +17,14 @@ use zip::{
 };
 
 use super::{
-    central_directory::first_repeated_name,
+    central_directory::{first_repeated_name, has_names_of_unknown_encoding},
     deadline::Deadline,
     disk_faults::{DiskFaults, WatchedFile},
     end_record::{CheckedArchive, Directory},
     error::{IngestError, IngestErrorKind, Result},
     limits::Limits,
-    names::{is_os_metadata, safe_name},
-    source::{FileSource, Listing},
+    names::{is_os_metadata, portable, safe_name},
+    source::{FileSource, Listing, NameEncoding},
 };
 
 /// The bits of a Unix mode that tell the kind of file, and its values for plain files and folders.
@@ -97,14 +97,18 @@ fn listed(
     let mut files = Vec::new();
     let mut indices = Vec::new();
     let mut total: u64 = 0;
+    let (mut has_legacy_names, mut is_ascii) = (false, true);
     for index in 0..zip.len() {
         let entry = zip.by_index_raw(index).map_err(entry_error)?;
-        let name = entry.name().map_err(entry_error)?.into_owned();
+        // Windows PowerShell 5.1 writes backslashes between folders.
+        let name = portable(&entry.name().map_err(entry_error)?).into_owned();
         if is_os_metadata(&name) {
             continue;
         }
+        has_legacy_names |= std::str::from_utf8(entry.name_raw()).is_err();
+        is_ascii &= entry.name_raw().is_ascii();
         let refuse = |error: IngestErrorKind| Err(error.at(name.clone()));
-        if entry.is_dir() {
+        if entry.is_dir() || (name.ends_with('/') && entry.size() == 0) {
             // Same rule as for files: no tool writes an unsafe name by accident.
             let folder = name.trim_end_matches('/');
             if folder != "." {
@@ -136,7 +140,15 @@ fn listed(
         files.push((name, size));
         indices.push(index);
     }
-    Ok(Listing { files, special: Vec::new(), source: Box::new(Archive { zip: Mutex::new(zip), indices }) })
+    let names = if has_legacy_names {
+        NameEncoding::CodePage
+    } else if !is_ascii && are_in_doubt(path, zip.central_directory_start(), limits) {
+        NameEncoding::Unknown
+    } else {
+        NameEncoding::Utf8
+    };
+    let source = Box::new(Archive { zip: Mutex::new(zip), indices });
+    Ok(Listing { files, special: Vec::new(), names, skipped: 0, source })
 }
 
 fn index(mut file: WatchedFile<File>, limits: &Limits, deadline: Deadline) -> Result<ZipArchive<Reader>> {
@@ -152,6 +164,15 @@ fn entry_error(error: ZipError) -> IngestErrorKind {
         ZipError::UnsupportedArchive(ZipError::PASSWORD_REQUIRED) => IngestErrorKind::Encrypted,
         other => IngestErrorKind::CorruptArchive(other.to_string()),
     }
+}
+
+/// Whether names are read as UTF-8 and not said to be. A failure to read means no more than a worse message.
+fn are_in_doubt(path: &Path, directory: u64, limits: &Limits) -> bool {
+    let found = File::open(path).and_then(|mut file| {
+        file.seek(io::SeekFrom::Start(directory))?;
+        has_names_of_unknown_encoding(BufReader::new(file), limits.entries)
+    });
+    found.unwrap_or_default()
 }
 
 /// Names the entry that is there twice: the file's own name is the sender's or, in a service, a temporary one.

@@ -141,7 +141,7 @@ pub enum IngestErrorKind {
     #[error("the file is missing; {0}")]
     MissingFile(&'static str),
     /// Images that the layout lists are not there.
-    #[error("{}", missing_images(*count, *listed, first, hint.as_deref()))]
+    #[error("{}", missing_images(*count, *listed, first, hint.as_ref()))]
     MissingImages {
         /// How many are missing.
         count: usize,
@@ -149,8 +149,8 @@ pub enum IngestErrorKind {
         listed: usize,
         /// The first few of them.
         first: Vec<String>,
-        /// A file whose name differs only in the case of letters.
-        hint: Option<String>,
+        /// Why they may be missing.
+        hint: Option<MissingHint>,
     },
     /// No image to train on.
     #[error("lists no images to train on")]
@@ -177,6 +177,9 @@ pub enum IngestErrorKind {
         /// What is wrong with it.
         message: &'static str,
     },
+    /// A table in another encoding.
+    #[error("is UTF-16 text; save it as UTF-8")]
+    Utf16,
     /// A value in a JSON file that cannot be used.
     #[error("{pointer}: {message}")]
     Field {
@@ -188,7 +191,8 @@ pub enum IngestErrorKind {
     /// Masks, which are not supported.
     #[error(
         "{place} there are masks, which are not supported: the whole of every photograph would be trained on. Remove them to \
-         train on whole photographs, or send photographs that are transparent (RGBA) where the masks are 0"
+         train on whole photographs. If they cut out an object, send photographs that are transparent (RGBA) around it. \
+         If they mean parts to ignore, such as people or a car's hood, transparency does not serve: it is trained as background"
     )]
     Masks {
         /// Where they are.
@@ -197,7 +201,8 @@ pub enum IngestErrorKind {
     /// A camera model without a pinhole equivalent here.
     #[error(
         "{place}: camera model {model} is not supported; supported are SIMPLE_PINHOLE, PINHOLE, \
-         SIMPLE_RADIAL, RADIAL and OPENCV. Undistort the images first (`colmap image_undistorter`)"
+         SIMPLE_RADIAL, RADIAL, OPENCV, and FULL_OPENCV without k4, k5 and k6. Undistort the images first \
+         (`colmap image_undistorter`)"
     )]
     CameraModel {
         /// Where in the file.
@@ -301,9 +306,9 @@ pub enum IngestErrorKind {
     },
     /// An image stored on its side.
     #[error(
-        "the image is stored as {}x{} and its camera is {}x{}: it seems to be turned by 90 degrees and to \
-         rely on an EXIF orientation, which is not applied. Store the pixels upright", actual.0, actual.1,
-        stated.0, stated.1
+        "the image has {}x{} pixels and its camera {}x{}: one of them is turned by 90 degrees. If the image has an EXIF \
+         orientation, apply it or ignore it as the camera's program did (exif_orientation); else turn the pixels", actual.0,
+        actual.1, stated.0, stated.1
     )]
     ImageRotated {
         /// Stored size.
@@ -361,6 +366,23 @@ pub enum IngestErrorKind {
     },
 }
 
+/// Why an image that is listed may be missing.
+#[derive(Debug, Clone, PartialEq, Eq, Error)]
+pub enum MissingHint {
+    /// There is a file whose name differs in the case of letters.
+    #[error("there is '{0}': upper and lower case must match")]
+    Case(String),
+    /// There is a file whose name differs in the extension.
+    #[error("there is '{0}': extensions must match")]
+    Extension(String),
+    /// The archive's names are not text that can be compared.
+    #[error(
+        "names in this zip are in a local code page, or at least not marked as UTF-8, so letters beyond ASCII do not match; make \
+         the zip with UTF-8 names, for example with 7-Zip (-mcu=on), or send the folder by `tcgs submit`"
+    )]
+    CodePage,
+}
+
 impl IngestErrorKind {
     /// The error in this file.
     pub(super) fn at(self, file: impl Into<String>) -> IngestError {
@@ -399,6 +421,7 @@ impl IngestErrorKind {
             | Self::TooManyScenePixels { .. } => ProblemType::DatasetTooLarge,
             Self::Json(_)
             | Self::JsonText { .. }
+            | Self::Utf16
             | Self::Field { .. }
             | Self::Truncated { .. }
             | Self::Count { .. }
@@ -442,7 +465,7 @@ impl From<IngestError> for Problem {
 }
 
 /// A name from an upload made fit for a message: no control characters, bounded length.
-fn shown(name: &str) -> String {
+pub(super) fn shown(name: &str) -> String {
     let mut text: String = name
         .chars()
         .take(MAX_NAME_CHARS_SHOWN)
@@ -454,13 +477,13 @@ fn shown(name: &str) -> String {
     text
 }
 
-fn missing_images(count: usize, listed: usize, first: &[String], hint: Option<&str>) -> String {
+fn missing_images(count: usize, listed: usize, first: &[String], hint: Option<&MissingHint>) -> String {
     let mut text = format!("{count} of the {listed} images listed here are missing: {}", first.join(", "));
     if count > first.len() {
         text.push_str(&format!(" and {} more", count - first.len()));
     }
     if let Some(hint) = hint {
-        text.push_str(&format!(" (there is '{hint}': upper and lower case must match)"));
+        text.push_str(&format!(" ({hint})"));
     }
     text
 }
@@ -494,7 +517,7 @@ mod tests {
     fn missing_images_are_counted_and_the_first_are_named() {
         let first = vec!["a.png".to_owned(), "b.png".to_owned()];
         assert_eq!(
-            missing_images(5, 9, &first, Some("A.png")),
+            missing_images(5, 9, &first, Some(&MissingHint::Case("A.png".to_owned()))),
             "5 of the 9 images listed here are missing: a.png, b.png and 3 more (there is 'A.png': upper \
              and lower case must match)"
         );

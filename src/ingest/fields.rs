@@ -7,13 +7,16 @@ use std::fmt;
 
 use serde::{
     Deserialize, Deserializer,
-    de::{Error as _, IgnoredAny, MapAccess, SeqAccess, Visitor},
+    de::{Error as _, IntoDeserializer as _, MapAccess, SeqAccess, Visitor, value},
 };
 
-use super::plan::RecordCounter;
+use super::{masks::is_mask_field, plan::RecordCounter};
 
 /// How much of a camera model's name is kept.
 const MODEL_CHARS: usize = 40;
+
+/// How much of a field's name, or of a JSON pointer, is kept.
+const POINTER_CHARS: usize = 100;
 
 /// A transforms file.
 #[derive(Debug)]
@@ -21,6 +24,8 @@ pub(super) struct Document {
     pub(super) camera: CameraFields,
     pub(super) frames: Vec<FrameFields>,
     pub(super) ply_file_path: Option<String>,
+    /// JSON pointer to the first path of masks that is stated for all frames.
+    pub(super) mask: Option<String>,
     pub(super) train_filenames: Option<Names>,
     pub(super) val_filenames: Option<Names>,
     pub(super) test_filenames: Option<Names>,
@@ -32,8 +37,8 @@ pub(super) struct FrameFields {
     pub(super) camera: CameraFields,
     pub(super) file_path: String,
     pub(super) transform_matrix: Matrix,
-    /// Whether the frame has a mask.
-    pub(super) masked: bool,
+    /// JSON pointer, from the frame, to the path of its mask.
+    pub(super) mask: Option<String>,
 }
 
 /// What may be stated once for all frames or for each of them.
@@ -53,6 +58,8 @@ pub(super) struct CameraFields {
     pub(super) k2: Option<f64>,
     pub(super) k3: Option<f64>,
     pub(super) k4: Option<f64>,
+    pub(super) k5: Option<f64>,
+    pub(super) k6: Option<f64>,
     pub(super) p1: Option<f64>,
     pub(super) p2: Option<f64>,
 }
@@ -76,7 +83,6 @@ enum Field {
     TestFilenames,
     FilePath,
     TransformMatrix,
-    MaskPath,
     CameraModel,
     IsFisheye,
     FlX,
@@ -91,6 +97,8 @@ enum Field {
     K2,
     K3,
     K4,
+    K5,
+    K6,
     P1,
     P2,
     #[serde(other)]
@@ -98,16 +106,16 @@ enum Field {
 }
 
 impl CameraFields {
-    /// Reads the value of a field, or skips it if it is not one of a camera.
-    fn read<'de, A: MapAccess<'de>>(&mut self, field: Field, map: &mut A) -> Result<(), A::Error> {
-        let number = match field {
+    /// Reads the value of a field, or skips it if it is not one of a camera. Returns the JSON pointer to a path of masks in it.
+    fn read<'de, A: MapAccess<'de>>(&mut self, key: &Key, map: &mut A) -> Result<Option<String>, A::Error> {
+        let number = match key.field {
             Field::CameraModel => {
                 self.camera_model = map.next_value::<Option<ModelName>>()?.map(|name| name.0);
-                return Ok(());
+                return Ok(None);
             }
             Field::IsFisheye => {
                 self.is_fisheye = map.next_value()?;
-                return Ok(());
+                return Ok(None);
             }
             Field::FlX => &mut self.fl_x,
             Field::FlY => &mut self.fl_y,
@@ -121,13 +129,130 @@ impl CameraFields {
             Field::K2 => &mut self.k2,
             Field::K3 => &mut self.k3,
             Field::K4 => &mut self.k4,
+            Field::K5 => &mut self.k5,
+            Field::K6 => &mut self.k6,
             Field::P1 => &mut self.p1,
             Field::P2 => &mut self.p2,
-            _ => return map.next_value::<IgnoredAny>().map(drop),
+            _ => return Ok(map.next_value::<Unused>()?.mask_under(&key.name)),
         };
         *number = map.next_value()?;
-        Ok(())
+        Ok(None)
     }
+}
+
+/// The name of a field as it is known, and as it is written if it is not.
+struct Key {
+    field: Field,
+    name: String,
+}
+
+impl<'de> Deserialize<'de> for Key {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        struct Name;
+
+        impl Visitor<'_> for Name {
+            type Value = Key;
+
+            fn expecting(&self, f: &mut fmt::Formatter) -> fmt::Result {
+                f.write_str("the name of a field")
+            }
+
+            fn visit_str<E: serde::de::Error>(self, name: &str) -> Result<Key, E> {
+                let name_of_field: value::StrDeserializer<'_, E> = name.into_deserializer();
+                let field = Field::deserialize(name_of_field)?;
+                let name = if matches!(field, Field::Other) { cut(name) } else { String::new() };
+                Ok(Key { field, name })
+            }
+        }
+
+        deserializer.deserialize_str(Name)
+    }
+}
+
+/// A value that is not used, of which only paths of masks are of interest.
+struct Unused {
+    /// Whether it is a text, an array or an object with anything in it.
+    has_content: bool,
+    /// JSON pointer, from the value, to the first path of masks in it.
+    mask: Option<String>,
+}
+
+impl Unused {
+    const NOTHING: Self = Self { has_content: false, mask: None };
+
+    /// The pointer, from the parent, if the value stands under this name.
+    fn mask_under(self, name: &str) -> Option<String> {
+        if self.has_content && is_mask_field(name) {
+            return Some(cut(&format!("/{name}")));
+        }
+        self.mask.map(|rest| cut(&format!("/{name}{rest}")))
+    }
+}
+
+impl<'de> Deserialize<'de> for Unused {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        struct Value;
+
+        impl<'de> Visitor<'de> for Value {
+            type Value = Unused;
+
+            fn expecting(&self, f: &mut fmt::Formatter) -> fmt::Result {
+                f.write_str("any value")
+            }
+
+            fn visit_unit<E>(self) -> Result<Unused, E> {
+                Ok(Unused::NOTHING)
+            }
+
+            fn visit_bool<E>(self, _: bool) -> Result<Unused, E> {
+                Ok(Unused::NOTHING)
+            }
+
+            fn visit_i64<E>(self, _: i64) -> Result<Unused, E> {
+                Ok(Unused::NOTHING)
+            }
+
+            fn visit_u64<E>(self, _: u64) -> Result<Unused, E> {
+                Ok(Unused::NOTHING)
+            }
+
+            fn visit_f64<E>(self, _: f64) -> Result<Unused, E> {
+                Ok(Unused::NOTHING)
+            }
+
+            fn visit_str<E>(self, text: &str) -> Result<Unused, E> {
+                Ok(Unused { has_content: !text.is_empty(), mask: None })
+            }
+
+            fn visit_seq<A: SeqAccess<'de>>(self, mut sequence: A) -> Result<Unused, A::Error> {
+                let mut unused = Unused::NOTHING;
+                let mut index = 0_usize;
+                while let Some(element) = sequence.next_element::<Unused>()? {
+                    unused.has_content = true;
+                    unused.mask = unused.mask.or_else(|| element.mask_under(&index.to_string()));
+                    index += 1;
+                }
+                Ok(unused)
+            }
+
+            fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<Unused, A::Error> {
+                let mut unused = Unused::NOTHING;
+                while let Some(key) = map.next_key::<String>()? {
+                    let value: Unused = map.next_value()?;
+                    unused.has_content = true;
+                    unused.mask = unused.mask.or_else(|| value.mask_under(&key));
+                }
+                Ok(unused)
+            }
+        }
+
+        deserializer.deserialize_any(Value)
+    }
+}
+
+/// As much of a text as a message repeats.
+fn cut(text: &str) -> String {
+    text.chars().take(POINTER_CHARS).collect()
 }
 
 impl<'de> Deserialize<'de> for Document {
@@ -144,21 +269,29 @@ impl<'de> Deserialize<'de> for Document {
             fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<Document, A::Error> {
                 let mut camera = CameraFields::default();
                 let mut frames: Option<Frames> = None;
-                let mut ply_file_path = None;
+                let (mut ply_file_path, mut mask) = (None, None);
                 let (mut train_filenames, mut val_filenames, mut test_filenames) = (None, None, None);
-                while let Some(field) = map.next_key()? {
-                    match field {
+                while let Some(key) = map.next_key::<Key>()? {
+                    match key.field {
                         Field::Frames if frames.is_some() => return Err(A::Error::duplicate_field("frames")),
                         Field::Frames => frames = Some(map.next_value()?),
                         Field::PlyFilePath => ply_file_path = map.next_value()?,
                         Field::TrainFilenames => train_filenames = map.next_value()?,
                         Field::ValFilenames => val_filenames = map.next_value()?,
                         Field::TestFilenames => test_filenames = map.next_value()?,
-                        other => camera.read(other, &mut map)?,
+                        _ => mask = camera.read(&key, &mut map)?.or(mask),
                     }
                 }
                 let frames = frames.ok_or_else(|| A::Error::missing_field("frames"))?.0;
-                Ok(Document { camera, frames, ply_file_path, train_filenames, val_filenames, test_filenames })
+                Ok(Document {
+                    camera,
+                    frames,
+                    ply_file_path,
+                    mask,
+                    train_filenames,
+                    val_filenames,
+                    test_filenames,
+                })
             }
         }
 
@@ -179,18 +312,17 @@ impl<'de> Deserialize<'de> for FrameFields {
 
             fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<FrameFields, A::Error> {
                 let mut camera = CameraFields::default();
-                let (mut file_path, mut matrix, mut masked) = (None, None, false);
-                while let Some(field) = map.next_key()? {
-                    match field {
+                let (mut file_path, mut matrix, mut mask) = (None, None, None);
+                while let Some(key) = map.next_key::<Key>()? {
+                    match key.field {
                         Field::FilePath => file_path = Some(map.next_value()?),
                         Field::TransformMatrix => matrix = Some(map.next_value()?),
-                        Field::MaskPath => masked = map.next_value::<Option<IgnoredAny>>()?.is_some(),
-                        other => camera.read(other, &mut map)?,
+                        _ => mask = camera.read(&key, &mut map)?.or(mask),
                     }
                 }
                 let file_path = file_path.ok_or_else(|| A::Error::missing_field("file_path"))?;
                 let matrix = matrix.ok_or_else(|| A::Error::missing_field("transform_matrix"))?;
-                Ok(FrameFields { camera, file_path, transform_matrix: matrix, masked })
+                Ok(FrameFields { camera, file_path, transform_matrix: matrix, mask })
             }
         }
 
@@ -346,9 +478,43 @@ mod tests {
         assert_eq!(document.camera.camera_model.as_deref(), Some("OPENCV"));
         assert_eq!(document.test_filenames.expect("a list").0, ["a"]);
         let frame = &document.frames[0];
-        assert_eq!((frame.file_path.as_str(), frame.masked), ("a", false));
+        assert_eq!((frame.file_path.as_str(), &frame.mask, &document.mask), ("a", &None, &None));
         let matrix = [[1.0, 0.0, 0.0, 5.0], [0.0, 1.0, 0.0, 6.0], [0.0, 0.0, 1.0, 7.0], [0.0, 0.0, 0.0, 1.0]];
         assert_eq!(frame.transform_matrix, Matrix(Some(matrix)));
+    }
+
+    #[test]
+    fn paths_of_masks_are_found_at_any_level() {
+        let frame = FRAME.strip_suffix('}').expect("an object");
+        for (text, shared, own) in [
+            (format!(r#"{{"mask_path": "m.png", "frames": [{FRAME}]}}"#), Some("/mask_path"), None),
+            (format!(r#"{{"frames": [{frame}, "mask_path": "m.png"}}]}}"#), None, Some("/mask_path")),
+            (
+                format!(r#"{{"frames": [{frame}, "dynamic_masks": ["m.png"]}}]}}"#),
+                None,
+                Some("/dynamic_masks"),
+            ),
+            (
+                format!(r#"{{"meta": [1, {{"masks": {{"a": "m.png"}}}}], "frames": [{FRAME}]}}"#),
+                Some("/meta/1/masks"),
+                None,
+            ),
+            (
+                format!(r#"{{"mask_path": null, "masks": [], "frames": [{frame}, "mask_path": ""}}]}}"#),
+                None,
+                None,
+            ),
+            (format!(r#"{{"has_mask": true, "mask_color": "red", "frames": [{FRAME}]}}"#), None, None),
+        ] {
+            let document = parsed(&text).expect("a document");
+            assert_eq!(
+                (document.mask.as_deref(), document.frames[0].mask.as_deref()),
+                (shared, own),
+                "{text}"
+            );
+        }
+        let deep = format!(r#"{{"{}": {{"mask_path": "m"}}, "frames": []}}"#, "x".repeat(5000));
+        assert_eq!(parsed(&deep).expect("a document").mask.expect("masks").len(), POINTER_CHARS);
     }
 
     #[test]

@@ -10,7 +10,7 @@ use super::{
     error::{IngestError, IngestErrorKind, Result},
     limits::Limits,
     names::safe_name,
-    source::{FileSource, Listing},
+    source::{FileSource, Listing, NameEncoding},
 };
 
 struct Folder {
@@ -30,7 +30,7 @@ impl FileSource for Folder {
 
 /// Lists all regular files under `root`.
 ///
-/// Names that are not UTF-8, or that no dataset could refer to, are skipped: a directory may contain anything.
+/// Names that are not UTF-8, or that no dataset could refer to, are skipped and counted: a directory may contain anything.
 ///
 /// # Errors
 /// [`IngestErrorKind::TooManyEntries`], or [`IngestErrorKind::Io`] if a folder cannot be listed.
@@ -38,7 +38,7 @@ pub(super) fn list(root: &Path, limits: &Limits) -> Result<Listing, IngestError>
     let mut files = Vec::new();
     let mut paths = Vec::new();
     let mut special = Vec::new();
-    let mut entries = 0;
+    let (mut entries, mut skipped) = (0, 0);
     let mut pending = vec![(root.to_owned(), String::new())];
     while let Some((folder, prefix)) = pending.pop() {
         let unreadable = |error| match prefix.trim_end_matches('/') {
@@ -52,10 +52,11 @@ pub(super) fn list(root: &Path, limits: &Limits) -> Result<Listing, IngestError>
                 return Err(IngestErrorKind::TooManyEntries { limit: limits.entries }.into());
             }
             let file_name = entry.file_name();
-            let Some(name) = file_name.to_str().map(|name| format!("{prefix}{name}")) else { continue };
-            if safe_name(&name).is_err() {
+            let name = file_name.to_str().map(|name| format!("{prefix}{name}"));
+            let Some(name) = name.filter(|name| safe_name(name).is_ok()) else {
+                skipped += 1;
                 continue;
-            }
+            };
             let kind = entry.file_type().map_err(unreadable)?;
             if kind.is_dir() {
                 pending.push((entry.path(), format!("{name}/")));
@@ -67,5 +68,5 @@ pub(super) fn list(root: &Path, limits: &Limits) -> Result<Listing, IngestError>
             }
         }
     }
-    Ok(Listing { files, special, source: Box::new(Folder { paths }) })
+    Ok(Listing { files, special, names: NameEncoding::Utf8, skipped, source: Box::new(Folder { paths }) })
 }

@@ -51,7 +51,7 @@ impl Lens {
     /// that describe no camera.
     pub(super) fn intrinsics(&self, actual: (u32, u32)) -> Result<Intrinsics> {
         let stated = self.size.unwrap_or(actual);
-        if !fits(actual, stated) {
+        if !self.fits(actual) {
             return Err(if actual == (stated.1, stated.0) {
                 IngestErrorKind::ImageRotated { actual, stated }
             } else {
@@ -80,6 +80,11 @@ impl Lens {
             .validated()
             .map_err(|source| IngestErrorKind::Camera { place: "its camera".to_owned(), source })?;
         plausible(intrinsics)
+    }
+
+    /// Whether an image of this size is what the camera states, or an evenly scaled-down copy of it. Any size fits a camera without one.
+    pub(super) fn fits(&self, actual: (u32, u32)) -> bool {
+        self.size.is_none_or(|stated| fits(actual, stated))
     }
 
     /// Checks everything that does not depend on the image.

@@ -2,7 +2,8 @@
 //!
 //! In order: `tree` lists files by safe names (from `folder`, or `archive` behind `end_record`) within `limits`; `transforms` (with
 //! `bounded_json` and `fields`) or `colmap` reads the tables into a `plan` of frames, lenses and poses; `survey` reads image headers and
-//! computes the final cameras; `images`, `distortion` and `sampling` produce the pixels.
+//! computes the final cameras; `images`, `orientation`, `distortion` and `sampling` produce the pixels. `masks` and `unused` see to it that nothing in a dataset is
+//! left out in silence.
 //!
 //! Memory is bounded by a [`LoadBudget`]: as many photographs are decoded in parallel as it allows, they stay in memory as long as they
 //! fit, and the others go to a temporary file (`spill`).
@@ -27,7 +28,9 @@ mod folder;
 mod images;
 mod lens;
 mod limits;
+mod masks;
 mod names;
+mod orientation;
 mod pack;
 mod plan;
 mod ply;
@@ -40,9 +43,12 @@ mod survey;
 mod table_reader;
 mod transforms;
 mod tree;
+mod unused;
 
 #[cfg(test)]
 mod fixtures;
+#[cfg(test)]
+mod report_tests;
 #[cfg(test)]
 mod tests;
 
@@ -53,7 +59,7 @@ use rayon::prelude::*;
 pub use self::{
     budget::LoadBudget,
     checker::DatasetChecker,
-    error::{IngestError, IngestErrorKind},
+    error::{IngestError, IngestErrorKind, MissingHint},
     limits::Limits,
     pack::pack,
 };
@@ -61,10 +67,12 @@ use self::{
     deadline::Deadline,
     semaphore::Semaphore,
     spill::Spill,
-    survey::{Survey, SurveyedFrame, survey},
+    survey::{Survey, SurveyOptions, SurveyedFrame, survey},
     tree::{Purpose, Tree},
 };
-use crate::domain::{Bytes, Dataset, DatasetSummary, Frame, NamedCamera, Photograph, Problem};
+use crate::domain::{
+    Bytes, Dataset, DatasetSummary, ExifOrientation, Frame, NamedCamera, Photograph, Problem,
+};
 
 /// Reads a dataset from a directory or a zip file, whichever `path` is.
 ///
@@ -94,7 +102,21 @@ pub fn load_cancellable(
     budget: &LoadBudget,
     should_continue: &(dyn Fn() -> bool + Sync),
 ) -> Result<Dataset, IngestError> {
-    load_with(path, &Limits::default(), budget, should_continue)
+    load_oriented(path, ExifOrientation::Auto, budget, should_continue)
+}
+
+/// As [`load_cancellable`], with EXIF orientations of the caller's choice.
+///
+/// # Errors
+/// As [`load_cancellable`].
+pub fn load_oriented(
+    path: &Path,
+    orientation: ExifOrientation,
+    budget: &LoadBudget,
+    should_continue: &(dyn Fn() -> bool + Sync),
+) -> Result<Dataset, IngestError> {
+    let options = SurveyOptions { orientation, decode_bytes: budget.memory_bytes, should_continue };
+    load_with(path, &Limits::default(), budget, &options)
 }
 
 /// Checks a dataset as far as possible without decoding pixels: the archive, the layout, poses, cameras, points, and
@@ -111,15 +133,29 @@ pub fn check(path: &Path) -> Result<DatasetSummary, Problem> {
 /// # Errors
 /// As [`load`].
 pub fn cameras(path: &Path) -> Result<Vec<NamedCamera>, Problem> {
-    Ok(survey_by(Deadline::NONE, path, &Limits::default())?.into_cameras())
+    Ok(check_with_cameras(path)?.1)
 }
 
-/// What [`check`] and [`cameras`] return, from one reading of the dataset.
+/// What [`check`] and [`cameras`] return, from one reading of the dataset. Unlike [`check`], it decodes the photographs whose EXIF
+/// orientation only their pixels decide, so that the cameras and notes are those of loading.
 ///
 /// # Errors
 /// As [`load`].
 pub fn check_with_cameras(path: &Path) -> Result<(DatasetSummary, Vec<NamedCamera>), Problem> {
-    let survey = survey_by(Deadline::NONE, path, &Limits::default())?;
+    check_oriented(path, ExifOrientation::Auto)
+}
+
+/// As [`check_with_cameras`], with EXIF orientations of the caller's choice.
+///
+/// # Errors
+/// As [`load`].
+pub fn check_oriented(
+    path: &Path,
+    orientation: ExifOrientation,
+) -> Result<(DatasetSummary, Vec<NamedCamera>), Problem> {
+    let decode_bytes = LoadBudget::default().memory_bytes;
+    let options = SurveyOptions { orientation, decode_bytes, should_continue: &|| true };
+    let survey = survey_for(Purpose::Load, path, &Limits::default(), &options)?;
     Ok((survey.summary(), survey.into_cameras()))
 }
 
@@ -131,27 +167,27 @@ fn load_with(
     path: &Path,
     limits: &Limits,
     budget: &LoadBudget,
-    should_continue: &(dyn Fn() -> bool + Sync),
+    options: &SurveyOptions,
 ) -> Result<Dataset, IngestError> {
     let tree = Tree::open(Purpose::Load, path, limits)?;
     let faults = tree.disk_faults();
-    load_tree(tree, limits, budget, should_continue).map_err(|error| faults.or(error))
+    load_tree(tree, limits, budget, options).map_err(|error| faults.or(error))
 }
 
 fn load_tree(
     tree: Tree,
     limits: &Limits,
     budget: &LoadBudget,
-    should_continue: &(dyn Fn() -> bool + Sync),
+    options: &SurveyOptions,
 ) -> Result<Dataset, IngestError> {
-    let (tree, survey) = survey(tree, limits, should_continue)?;
+    let (tree, survey) = survey(tree, limits, options)?;
     let store = Store::new(&tree, &survey, budget)?;
     // Collected before the first error is taken, so that the same error is reported whatever thread is faster.
     let frames: Vec<Result<Frame, IngestError>> = survey
         .views
         .into_par_iter()
         .map(|view| {
-            if !should_continue() {
+            if !(options.should_continue)() {
                 return Err(IngestErrorKind::Stopped.into());
             }
             let image = store.photograph(&tree, &view, limits)?;
@@ -209,7 +245,7 @@ impl Store {
         let _held = self.decoding.acquire(Self::decode_bytes(tree, view));
         let file = &view.frame.file;
         let bytes = tree.read(file)?;
-        let image = images::decode(&bytes, limits)
+        let image = images::decode(&bytes, view.turn, limits)
             .and_then(|image| view.finish(image))
             .map_err(|error| error.at(file))?;
         if self.kept.try_keep(image.samples().len() as u64) {
@@ -228,12 +264,20 @@ pub fn check_within(path: &Path, limits: &Limits) -> Result<DatasetSummary, Inge
     check_by(Deadline::NONE, path, limits)
 }
 
-fn survey_by(deadline: Deadline, path: &Path, limits: &Limits) -> Result<Survey, IngestError> {
-    let tree = Tree::open(Purpose::Check(deadline), path, limits)?;
+fn survey_for(
+    purpose: Purpose,
+    path: &Path,
+    limits: &Limits,
+    options: &SurveyOptions,
+) -> Result<Survey, IngestError> {
+    let tree = Tree::open(purpose, path, limits)?;
     let faults = tree.disk_faults();
-    Ok(survey(tree, limits, &|| true).map_err(|error| faults.or(error))?.1)
+    Ok(survey(tree, limits, options).map_err(|error| faults.or(error))?.1)
 }
 
 fn check_by(deadline: Deadline, path: &Path, limits: &Limits) -> Result<DatasetSummary, IngestError> {
-    Ok(survey_by(deadline, path, limits)?.summary())
+    // No pixel is decoded: the memory of a check has a bound that one photograph exceeds.
+    let options =
+        SurveyOptions { orientation: ExifOrientation::Auto, decode_bytes: 0, should_continue: &|| true };
+    Ok(survey_for(Purpose::Check(deadline), path, limits, &options)?.summary())
 }

@@ -3,6 +3,10 @@
 //! The same rule applies to archive entries and to the paths in JSON and COLMAP tables, so an accepted name can be looked up in the tree as
 //! it is and never points outside of it.
 
+use std::borrow::Cow;
+
+use unicode_normalization::{IsNormalized, UnicodeNormalization as _, is_nfc_quick};
+
 use super::error::{IngestErrorKind, Result};
 
 /// Longest accepted name in bytes, the usual `PATH_MAX`.
@@ -46,6 +50,19 @@ pub(super) fn safe_name(name: &str) -> Result<&str> {
         }
     }
     Ok(name)
+}
+
+/// A path with `/` between its parts, as written on any system. No other accepted name has a backslash in it.
+pub(super) fn portable(path: &str) -> Cow<'_, str> {
+    if path.contains('\\') { path.replace('\\', "/").into() } else { path.into() }
+}
+
+/// A name in Unicode's normal form C: macOS writes accents as characters of their own, other systems as part of the letter.
+pub(super) fn normalized(name: &str) -> Cow<'_, str> {
+    match is_nfc_quick(name.chars()) {
+        IsNormalized::Yes => name.into(),
+        _ => name.nfc().collect::<String>().into(),
+    }
 }
 
 /// Whether a file is litter of an operating system and not part of any dataset.
@@ -97,6 +114,14 @@ mod tests {
                 "{name:?} must be refused"
             );
         }
+    }
+
+    #[test]
+    fn names_of_other_systems_become_one_form() {
+        assert_eq!(portable(r"images\sub\0.jpg"), "images/sub/0.jpg");
+        assert!(matches!(portable("images/0.jpg"), Cow::Borrowed(_)));
+        assert_eq!(normalized("U\u{308}bung e\u{301}.jpg"), "Übung é.jpg");
+        assert!(matches!(normalized("Übung é.jpg"), Cow::Borrowed(_)));
     }
 
     #[test]

@@ -3,24 +3,22 @@
 use std::collections::BTreeSet;
 
 use super::{
-    error::{IngestError, IngestErrorKind, Result},
+    error::{IngestError, IngestErrorKind, MissingHint, Result},
     images::is_image_name,
     lens::Lens,
     limits::Limits,
-    names::safe_name,
+    names::{portable, safe_name},
     points::Points,
+    source::NameEncoding,
     tree::Tree,
 };
 use crate::domain::{
     Layout, Pose, Split,
-    dataset::{HOLD_OUT_EVERY, IMAGE_EXTENSIONS},
+    dataset::{HOLD_OUT_EVERY, IMAGE_EXTENSIONS, without_extension},
 };
 
 /// How many missing images a message names.
 const MAX_MISSING_SHOWN: usize = 5;
-
-/// Folders in which tools look for masks, beside the folder of the photographs.
-const MASK_FOLDERS: [&str; 2] = ["masks", "mask"];
 
 /// A dataset as its tables state it.
 pub(super) struct Plan {
@@ -29,6 +27,12 @@ pub(super) struct Plan {
     pub(super) lenses: Vec<Lens>,
     pub(super) frames: Vec<PlannedFrame>,
     pub(super) points: Option<Points>,
+    /// Images that the tables list, also those that no split takes.
+    pub(super) listed: BTreeSet<String>,
+    /// The tables that list them.
+    pub(super) listings: Vec<String>,
+    /// Files that are not used and that a note explains.
+    pub(super) noted: BTreeSet<String>,
     pub(super) notes: Vec<String>,
 }
 
@@ -71,7 +75,7 @@ impl RecordCounter {
 }
 
 /// One listed frame.
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 pub(super) struct PlannedFrame {
     /// Name of the frame.
     pub(super) name: String,
@@ -86,7 +90,37 @@ pub(super) struct PlannedFrame {
 impl Plan {
     /// A plan without frames.
     pub(super) fn new(layout: Layout) -> Self {
-        Self { layout, lenses: Vec::new(), frames: Vec::new(), points: None, notes: Vec::new() }
+        Self {
+            layout,
+            lenses: Vec::new(),
+            frames: Vec::new(),
+            points: None,
+            listed: BTreeSet::new(),
+            listings: Vec::new(),
+            noted: BTreeSet::new(),
+            notes: Vec::new(),
+        }
+    }
+
+    /// Adds a frame that the table `listing` lists.
+    pub(super) fn add(&mut self, frame: PlannedFrame, listing: &str) {
+        self.listed.insert(frame.file.clone());
+        if self.listings.last().is_none_or(|last| last != listing) {
+            self.listings.push(listing.to_owned());
+        }
+        self.frames.push(frame);
+    }
+
+    /// Takes the points of `file`, unless there are none; what is missing of them is noted.
+    pub(super) fn take_points(&mut self, points: Points, file: &str) {
+        if points.count() == 0 {
+            self.notes.push(format!("{file} has no points: training starts from random ones"));
+            return;
+        }
+        if !points.has_colors() {
+            self.notes.push(format!("the points of {file} have no colors: training starts from gray ones"));
+        }
+        self.points = Some(points);
     }
 
     /// Sorts the frames by name and checks that names and image files are unique and that there is one to train on.
@@ -124,37 +158,10 @@ impl Plan {
         }
         self.lenses.len() - 1
     }
-
-    /// Adds a note with the number of images beside the listed ones that are not listed.
-    pub(super) fn note_unlisted(&mut self, tree: &Tree, listing: &str) {
-        let listed: BTreeSet<&str> = self.frames.iter().map(|frame| frame.file.as_str()).collect();
-        let folders: BTreeSet<&str> = listed.iter().map(|file| folder_of(file)).collect();
-        let unlisted = tree
-            .names()
-            .filter(|name| is_image_name(name) && folders.contains(folder_of(name)) && !listed.contains(name))
-            .count();
-        if unlisted > 0 {
-            let (images, are) = if unlisted == 1 { ("image", "is") } else { ("images", "are") };
-            self.notes.push(format!("{unlisted} {images} {are} not listed in {listing} and not used"));
-        }
-    }
 }
 
-/// Refuses datasets with a folder of masks: ignoring it would train another scene than its owner expects.
-///
-/// # Errors
-/// [`IngestErrorKind::Masks`].
-pub(super) fn refuse_masks(tree: &Tree) -> Result<(), IngestError> {
-    let mask = tree.names().find(|name| {
-        name.split_once('/').is_some_and(|(folder, _)| MASK_FOLDERS.contains(&folder)) && is_image_name(name)
-    });
-    mask.map_or(Ok(()), |mask| {
-        let place = format!("in {}/", mask.split_once('/').map_or("", |(folder, _)| folder));
-        Err(IngestErrorKind::Masks { place }.at(mask))
-    })
-}
-
-fn folder_of(name: &str) -> &str {
+/// The folder of a file, without the slash behind it; empty at the top.
+pub(super) fn folder_of(name: &str) -> &str {
     name.rsplit_once('/').map_or("", |(folder, _)| folder)
 }
 
@@ -184,7 +191,8 @@ impl<'a> ImageFiles<'a> {
         stated: &str,
         place: &str,
     ) -> Result<Option<(String, String)>, IngestError> {
-        let name = safe_name(stated).map_err(|error| {
+        let portable = portable(stated);
+        let name = safe_name(&portable).map_err(|error| {
             IngestErrorKind::Field { pointer: place.to_owned(), message: format!("'{stated}': {error}") }
                 .at(self.listing)
         })?;
@@ -196,7 +204,8 @@ impl<'a> ImageFiles<'a> {
         let with_extensions = IMAGE_EXTENSIONS.iter().flat_map(|extension| {
             [format!("{exact}.{extension}"), format!("{exact}.{}", extension.to_uppercase())]
         });
-        let found = std::iter::once(exact.clone()).chain(with_extensions).find(|file| self.tree.has(file));
+        let mut names = std::iter::once(exact.clone()).chain(with_extensions);
+        let found = names.find_map(|name| self.tree.find(&name).map(str::to_owned));
         if found.is_none() {
             self.missing += 1;
             if self.first_missing.len() < MAX_MISSING_SHOWN {
@@ -212,7 +221,7 @@ impl<'a> ImageFiles<'a> {
     /// [`IngestErrorKind::MissingImages`] if any was missing.
     pub(super) fn finish(self) -> Result<(), IngestError> {
         let Some(first) = self.first_missing.first() else { return Ok(()) };
-        let hint = self.tree.names().find(|name| name.eq_ignore_ascii_case(first)).map(str::to_owned);
+        let hint = self.hint(first);
         Err(IngestErrorKind::MissingImages {
             count: self.missing,
             listed: self.listed,
@@ -220,5 +229,18 @@ impl<'a> ImageFiles<'a> {
             hint,
         }
         .at(self.listing))
+    }
+    /// Why a file may be missing.
+    fn hint(&self, missing: &str) -> Option<MissingHint> {
+        if self.tree.name_encoding() != NameEncoding::Utf8 && !missing.is_ascii() {
+            return Some(MissingHint::CodePage);
+        }
+        let stem = |name: &str| without_extension(name).to_owned();
+        let wanted = stem(missing);
+        let by_case = self.tree.names().find(|name| name.eq_ignore_ascii_case(missing));
+        let by_stem = || self.tree.names().find(|name| is_image_name(name) && stem(name) == wanted);
+        by_case
+            .map(|name| MissingHint::Case(name.to_owned()))
+            .or_else(|| by_stem().map(|name| MissingHint::Extension(name.to_owned())))
     }
 }

@@ -1,22 +1,51 @@
 //! Point clouds in PLY files, ASCII and binary of both byte orders.
 //!
-//! Only the `vertex` element is read: x, y, z and, where stated, red, green, blue. Points without colour are mid-grey. The file is
-//! read as a stream, one vertex at a time. Channels of 8 bits are taken as they are; others may run to 1, 255 or 65535, which
-//! the largest of all vertices tells.
+//! Only the `vertex` element is read: x, y, z and, where stated, colors under any of the names in [`COLOR_NAMES`]. Points without color
+//! are mid-gray. The file is read as a stream, one vertex at a time. Channels of 8 bits are taken as they are; others may run to 1, 255
+//! or 65535, which the largest of all vertices tells.
 
 use std::io::{self, BufRead};
 
 use super::{
-    error::{IngestErrorKind, Result},
+    error::{IngestError, IngestErrorKind, Result},
     points::Points,
+    tree::Tree,
 };
 use crate::ply::{Encoding, Header, Profile, Scalar};
 
 /// Colour of points in a file without colours.
 const GREY: u8 = 128;
 
+/// Names of red, green and blue in the order of preference, in any case of letters.
+const COLOR_NAMES: [[&str; 3]; 6] = [
+    ["red", "green", "blue"],
+    ["diffuse_red", "diffuse_green", "diffuse_blue"],
+    ["r", "g", "b"],
+    ["color_red", "color_green", "color_blue"],
+    ["scalar_red", "scalar_green", "scalar_blue"],
+    HARMONICS,
+];
+
+/// The constant coefficients of spherical harmonics, as files of Gaussians name them.
+const HARMONICS: [&str; 3] = ["f_dc_0", "f_dc_1", "f_dc_2"];
+
+/// The constant spherical harmonic: colors are 0.5 more than it times the coefficient.
+const Y_0: f32 = 0.282_094_8;
+
 /// Longest number in ASCII; real ones have some twenty bytes.
 const MAX_NUMBER_BYTES: usize = 400;
+
+/// The points of a file of the dataset.
+///
+/// # Errors
+/// As [`points`], and those of reading the file.
+pub(super) fn read(tree: &Tree, file: &str) -> Result<Points, IngestError> {
+    tree.parse(file, u64::MAX, |reader, length| {
+        let mut cloud = tree.points();
+        points(reader, length, &mut cloud)?;
+        Ok(cloud)
+    })
+}
 
 /// Reads the vertices.
 ///
@@ -31,10 +60,10 @@ pub(super) fn points(reader: &mut dyn BufRead, length: u64, cloud: &mut Points) 
     let [Some(x), Some(y), Some(z)] = ["x", "y", "z"].map(column) else {
         return Err(refused("its vertices lack x, y or z"));
     };
-    let colors = match ["red", "green", "blue"].map(column) {
-        [Some(r), Some(g), Some(b)] => Some([r, g, b]),
-        _ => None,
-    };
+    let colors = color_columns(&header);
+    if colors.is_none() {
+        cloud.without_colors();
+    }
 
     // A number takes at least a digit and a separator in ASCII (the last may lack the separator).
     let record = match header.encoding {
@@ -54,7 +83,9 @@ pub(super) fn points(reader: &mut dyn BufRead, length: u64, cloud: &mut Points) 
 
     // Colours of the kept points whose scale is known only at the end.
     let scalar = colors.map(|[red, ..]| header.properties[red].scalar);
-    let has_scale = scalar.is_some_and(|scalar| !matches!(scalar, Scalar::U8 | Scalar::I8));
+    let has_harmonics =
+        colors.is_some_and(|[red, ..]| header.properties[red].name.eq_ignore_ascii_case(HARMONICS[0]));
+    let has_scale = !has_harmonics && scalar.is_some_and(|scalar| !matches!(scalar, Scalar::U8 | Scalar::I8));
     let mut unscaled: Vec<[f32; 3]> = Vec::new();
     let mut add = |index: usize, row: &[f64]| {
         let position = [x, y, z].map(|column| row[column] as f32);
@@ -62,6 +93,10 @@ pub(super) fn points(reader: &mut dyn BufRead, length: u64, cloud: &mut Points) 
             return Err(refused(format!("vertex {index} is not finite")));
         }
         let color = colors.map(|columns| columns.map(|column| row[column] as f32));
+        if has_harmonics {
+            let color = color.map(|color| color.map(|value| to_8_bits(0.5 + Y_0 * value, 255.0)));
+            return cloud.push(position, color.unwrap_or([GREY; 3]));
+        }
         if has_scale && cloud.keeps() {
             unscaled.extend(color);
         }
@@ -99,6 +134,16 @@ pub(super) fn points(reader: &mut dyn BufRead, length: u64, cloud: &mut Points) 
         cloud.recolor(unscaled.iter().map(|color| color.map(|value| to_8_bits(value, factor))));
     }
     Ok(())
+}
+
+/// The columns of red, green and blue.
+fn color_columns(header: &Header) -> Option<[usize; 3]> {
+    let column =
+        |name: &str| header.properties.iter().position(|property| property.name.eq_ignore_ascii_case(name));
+    COLOR_NAMES.iter().find_map(|names| match names.map(column) {
+        [Some(red), Some(green), Some(blue)] => Some([red, green, blue]),
+        _ => None,
+    })
 }
 
 /// Factor to 0 to 255 of channels of one type.
@@ -226,6 +271,40 @@ mod tests {
         let fractions = PLAIN.replace("uchar", "float");
         let cloud = points(&file("ascii", &fractions, b"0 0 0 1 0.5 0\n0 0 0 2 -1 0\n")).expect("points");
         assert_eq!(cloud.colors, [[255, 128, 0], [255, 0, 0]]);
+    }
+
+    #[test]
+    fn colors_are_found_under_their_other_names() {
+        let plain = file("ascii", PLAIN, b"1 2 3 10 20 30\n4 5 6 255 0 7\n");
+        let expected = points(&plain).expect("points").colors;
+        let text = String::from_utf8(plain).expect("text");
+        for names in
+            [["diffuse_red", "diffuse_green", "diffuse_blue"], ["r", "g", "b"], ["Red", "Green", "Blue"]]
+        {
+            let renamed =
+                ["red", "green", "blue"].iter().zip(names).fold(text.clone(), |text, (from, to)| {
+                    text.replace(&format!(" {from}\n"), &format!(" {to}\n"))
+                });
+            assert_ne!(renamed, text);
+            assert_eq!(points(renamed.as_bytes()).expect("points").colors, expected, "{names:?}");
+        }
+        let harmonics = "property float x\nproperty float y\nproperty float z\nproperty float f_dc_0\n\
+                         property float f_dc_1\nproperty float f_dc_2\n";
+        let data = b"0 0 0 0 1.7724538 -1.7724538\n0 0 0 -9 9 0.5\n";
+        let cloud = points(&file("ascii", harmonics, data)).expect("points");
+        assert_eq!(cloud.colors, [[128, 255, 0], [0, 255, 163]]);
+    }
+
+    #[test]
+    fn a_file_without_colors_says_so() {
+        for (properties, has_colors) in
+            [(PLAIN, true), (&PLAIN[..PLAIN.find("property uchar").expect("colors")], false)]
+        {
+            let bytes = file("ascii", properties, b"1 2 3 1 2 3 4 5 6 7 8 9\n");
+            let mut cloud = Points::new(false, 100);
+            super::points(&mut &*bytes, bytes.len() as u64, &mut cloud).expect("points");
+            assert_eq!(cloud.has_colors(), has_colors);
+        }
     }
 
     #[test]

@@ -7,13 +7,14 @@ use crate::domain::PointCloud;
 pub(super) struct Points {
     count: usize,
     limit: usize,
+    has_colors: bool,
     cloud: Option<PointCloud>,
 }
 
 impl Points {
     /// None yet; at most `limit`.
     pub(super) fn new(keep: bool, limit: usize) -> Self {
-        Self { count: 0, limit, cloud: keep.then(PointCloud::default) }
+        Self { count: 0, limit, has_colors: true, cloud: keep.then(PointCloud::default) }
     }
 
     /// Makes room for `count` points, which the bytes of a file were found to have room for.
@@ -60,6 +61,21 @@ impl Points {
                 *to = color;
             }
         }
+    }
+
+    /// Says that the file has no colors, so that those of the points mean nothing.
+    pub(super) fn without_colors(&mut self) {
+        self.has_colors = false;
+    }
+
+    /// Whether the points have colors of their own.
+    pub(super) fn has_colors(&self) -> bool {
+        self.has_colors
+    }
+
+    /// The points so far, if they are kept.
+    pub(super) fn cloud(&self) -> Option<&PointCloud> {
+        self.cloud.as_ref()
     }
 
     /// How many there are.

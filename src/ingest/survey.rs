@@ -1,23 +1,53 @@
-//! Checks the plan of a dataset against its image headers and computes the final cameras, without decoding a pixel.
+//! Checks the plan of a dataset against its image headers and computes the final cameras.
+//!
+//! Pixels are decoded only to decide about EXIF orientations that sizes do not decide ([`super::orientation`]), and only within
+//! [`SurveyOptions::decode_bytes`].
 
 use std::collections::BTreeMap;
+
+use glam::DVec3;
+use image::metadata::Orientation;
 
 use super::{
     colmap,
     distortion::{Crop, Distortion},
     error::{IngestError, IngestErrorKind, Result},
-    images,
-    lens::resized,
+    images::{self, Header},
+    lens::{Lens, resized},
     limits::Limits,
-    plan::{Plan, PlannedFrame, refuse_masks},
+    masks::refuse_masks,
+    orientation::{Comparison, Decision, Evidence, EvidenceCounts, MAX_COMPARED, Reading, Unknown, evidence},
+    plan::{Plan, PlannedFrame},
     points::Points,
     transforms,
     tree::Tree,
+    unused::{Taken, note_unused},
 };
-use crate::domain::{Camera, DatasetSummary, Image, Intrinsics, Layout, NamedCamera, PointCloud, Split};
+use crate::domain::{
+    Camera, DatasetSummary, ExifOrientation, Image, Intrinsics, Layout, NamedCamera, PointCloud, Split,
+};
 
 /// Farthest camera from the origin that single precision can still work with.
 const MAX_CAMERA_DISTANCE: f64 = 1e9;
+
+/// Distance from the origin, in radii of the cameras' own extent, from which coordinates are noted as far out.
+const FAR_OUT: f64 = 1000.0;
+
+/// Distance in world units from which coordinates are those of a map or of the Earth, unless the cameras are as far apart.
+const MAP_DISTANCE: f64 = 1e5;
+
+/// How often a scene's radius fits into that distance at least.
+const MAP_RADII: f64 = 20.0;
+
+/// What a survey depends on besides the dataset.
+pub(super) struct SurveyOptions<'a> {
+    /// What EXIF orientations do.
+    pub(super) orientation: ExifOrientation,
+    /// The most memory for decoding an image whose orientation only pixels decide; none is decoded if it takes more.
+    pub(super) decode_bytes: u64,
+    /// Called before each image's header is read; once it returns false, the survey stops.
+    pub(super) should_continue: &'a (dyn Fn() -> bool + Sync),
+}
 
 /// A dataset of which only the pixels are unknown.
 pub(super) struct Survey {
@@ -64,7 +94,9 @@ pub(super) struct SurveyedFrame {
     pub(super) frame: PlannedFrame,
     /// The camera of the finished image.
     pub(super) camera: Camera,
-    /// Pinhole intrinsics of the stored image, distortion aside.
+    /// How the stored pixels are turned first.
+    pub(super) turn: Orientation,
+    /// Pinhole intrinsics of the image so turned, distortion aside.
     stored: Intrinsics,
     /// Whether the stored image may be transparent.
     alpha: bool,
@@ -99,7 +131,7 @@ impl SurveyedFrame {
         resampling.max(DECODE_BYTES * pixels(from.width, from.height))
     }
 
-    /// The finished image from the stored one.
+    /// The finished image from the stored and turned one.
     ///
     /// # Errors
     /// [`IngestErrorKind::Image`] if the pixels are not of the size that the header promised.
@@ -131,40 +163,119 @@ impl SurveyedFrame {
 pub(super) fn survey(
     mut tree: Tree,
     limits: &Limits,
-    should_continue: &(dyn Fn() -> bool + Sync),
+    options: &SurveyOptions,
 ) -> Result<(Tree, Survey), IngestError> {
     let plan = match plan(&tree) {
         None if tree.enter_only_folder() => plan(&tree),
         plan => plan,
     }
     .ok_or(IngestErrorKind::NoLayout)??;
-    refuse_masks(&tree)?;
-    let Plan { layout, lenses, frames, points, mut notes } = plan;
+    refuse_masks(&tree, &plan.listed.iter().map(String::as_str).collect())?;
+    let Plan { layout, lenses, frames, points, listed, listings, noted, mut notes } = plan;
+    let taken = Taken { listed: &listed, noted: &noted, listings: &listings };
+    note_unused(&tree, &taken, &mut notes);
 
-    let mut crops = BTreeMap::new();
+    let mut surveyor = Surveyor { lenses, crops: BTreeMap::new() };
+    let headers = Headers::read(&tree, &frames, limits, options);
+    let mut counts = EvidenceCounts::default();
+    let evidence: Vec<Evidence> = frames
+        .iter()
+        .zip(&headers.read)
+        .map(|(frame, header)| evidence(header, &surveyor.lenses[frame.lens], options.orientation))
+        .inspect(|evidence| counts.count(*evidence))
+        .collect();
+    let decision = if counts.has_others() {
+        let undecided = frames.iter().zip(&headers.read).zip(&evidence);
+        let undecided = undecided.filter(|(_, evidence)| **evidence == Evidence::None).map(|(pair, _)| pair);
+        let comparer = Comparer { tree: &tree, points: points.as_ref(), limits, options };
+        Some(comparer.decide(&mut surveyor, &undecided.collect::<Vec<_>>(), &counts)?)
+    } else {
+        None
+    };
+
     let mut views = Vec::with_capacity(frames.len());
     let mut changes = Changes::default();
     let mut pixels = 0;
-    // One after another: each is a small read, and several at a time would each need memory for a header.
-    for frame in frames {
-        if !should_continue() {
-            return Err(IngestErrorKind::Stopped.into());
+    for ((frame, header), evidence) in frames.into_iter().zip(&headers.read).zip(evidence) {
+        let reading = match evidence {
+            Evidence::Upright => Reading::Stored,
+            Evidence::Stated(reading) | Evidence::Size(reading) => reading,
+            Evidence::None => decision.map_or(Reading::Stored, Decision::reading),
+        };
+        let stated = surveyor.lenses[frame.lens].size;
+        let view = surveyor.view(frame, header, reading)?;
+        let finished = view.camera.intrinsics;
+        changes.count(stated, &view);
+        pixels += u64::from(finished.width) * u64::from(finished.height);
+        if pixels > limits.scene_pixels {
+            let error = IngestErrorKind::TooManyScenePixels { pixels, limit: limits.scene_pixels };
+            return Err(error.at(view.frame.file));
         }
-        tree.check_time().map_err(|error| error.at(&frame.file))?;
-        let images::Header { size, alpha } = images::header(&tree, &frame.file, limits)?;
-        let lens = &lenses[frame.lens];
+        views.push(view);
+    }
+    headers.end?;
+    counts.note(decision, &mut notes);
+    changes.note(&mut notes);
+    notes.extend(distance_note(&views));
+    let point_count = points.as_ref().map(Points::count);
+    let points = points.and_then(Points::into_cloud);
+    Ok((tree, Survey { layout, views, points, point_count, notes }))
+}
+
+/// Headers of the frames' images up to the first error.
+struct Headers {
+    read: Vec<Header>,
+    end: Result<(), IngestError>,
+}
+
+impl Headers {
+    /// One after another: each is a small read, and several at a time would each need memory for a header.
+    fn read(tree: &Tree, frames: &[PlannedFrame], limits: &Limits, options: &SurveyOptions) -> Self {
+        let mut read = Vec::with_capacity(frames.len());
+        let mut next = |frame: &PlannedFrame| -> Result<(), IngestError> {
+            if !(options.should_continue)() {
+                return Err(IngestErrorKind::Stopped.into());
+            }
+            tree.check_time().map_err(|error| error.at(&frame.file))?;
+            read.push(images::header(tree, &frame.file, limits)?);
+            Ok(())
+        };
+        let end = frames.iter().try_for_each(&mut next);
+        Self { read, end }
+    }
+}
+
+/// Computes the final camera of each frame.
+struct Surveyor {
+    lenses: Vec<Lens>,
+    /// What is covered of images by lens and size.
+    crops: BTreeMap<(usize, (u32, u32)), Crop>,
+}
+
+impl Surveyor {
+    /// The frame with its image read this way.
+    ///
+    /// # Errors
+    /// What is wrong with its camera, or with its image's size.
+    fn view(
+        &mut self,
+        frame: PlannedFrame,
+        header: &Header,
+        reading: Reading,
+    ) -> Result<SurveyedFrame, IngestError> {
+        let size = reading.size(header);
+        let lens = &self.lenses[frame.lens];
         let (file, distortion) = (frame.file.clone(), lens.distortion);
         let stored = lens.intrinsics(size).map_err(|error| error.at(&file))?;
-        let crop = match crops.get(&(frame.lens, size)) {
+        let crop = match self.crops.get(&(frame.lens, size)) {
             Some(crop) => *crop,
             None => {
                 let crop = distortion.covered(&stored).map_err(|error| error.at(&file))?;
-                crops.insert((frame.lens, size), crop);
+                self.crops.insert((frame.lens, size), crop);
                 crop
             }
         };
-        let cropped = crop.of(stored);
-        let finished = for_training(cropped);
+        let finished = for_training(crop.of(stored));
         let camera = Camera::new(finished, frame.pose)
             .map_err(|source| IngestErrorKind::Camera { place: frame.name.clone(), source }.at(&file))?;
         let distance = frame.pose.center().abs().max_element();
@@ -177,17 +288,85 @@ pub(super) fn survey(
             }
             .at(file));
         }
-        changes.count(lens.size, &stored, &distortion, &cropped, &finished);
-        pixels += u64::from(finished.width) * u64::from(finished.height);
-        if pixels > limits.scene_pixels {
-            return Err(IngestErrorKind::TooManyScenePixels { pixels, limit: limits.scene_pixels }.at(file));
-        }
-        views.push(SurveyedFrame { frame, camera, stored, alpha, distortion, crop });
+        let (turn, alpha) = (reading.turn(header), header.alpha);
+        Ok(SurveyedFrame { frame, camera, turn, stored, alpha, distortion, crop })
     }
-    changes.note(&mut notes);
-    let point_count = points.as_ref().map(Points::count);
-    let points = points.and_then(Points::into_cloud);
-    Ok((tree, Survey { layout, views, points, point_count, notes }))
+}
+
+/// Compares photographs with the points' colors.
+struct Comparer<'a> {
+    tree: &'a Tree,
+    points: Option<&'a Points>,
+    limits: &'a Limits,
+    options: &'a SurveyOptions<'a>,
+}
+
+impl Comparer<'_> {
+    /// How the photographs without evidence of their own are read.
+    ///
+    /// # Errors
+    /// The deadline, and [`IngestErrorKind::Stopped`].
+    fn decide(
+        &self,
+        surveyor: &mut Surveyor,
+        undecided: &[(&PlannedFrame, &Header)],
+        counts: &EvidenceCounts,
+    ) -> Result<Decision, IngestError> {
+        let otherwise = |unknown| counts.by_sizes().unwrap_or(Decision::Unknown(unknown));
+        let Some(points) = self.points.filter(|points| points.has_colors()) else {
+            return Ok(otherwise(Unknown::NoColors));
+        };
+        let Some(cloud) = points.cloud() else { return Ok(Decision::Unknown(Unknown::NotRead)) };
+        let mut comparison = Comparison::default();
+        let step = undecided.len().div_ceil(MAX_COMPARED).max(1);
+        for (frame, header) in undecided.iter().step_by(step) {
+            if !(self.options.should_continue)() {
+                return Err(IngestErrorKind::Stopped.into());
+            }
+            self.tree.check_time()?;
+            let mut read = |reading| self.finished(surveyor.view((*frame).clone(), header, reading).ok()?);
+            if let (Some((stored, from)), Some((turned, to))) = (read(Reading::Stored), read(Reading::Turned))
+            {
+                comparison.add(cloud, (&stored, &from), (&turned, &to));
+            }
+        }
+        Ok(comparison.decision().unwrap_or_else(|| otherwise(Unknown::Alike)))
+    }
+
+    /// The camera and the pixels that training would have; `None` for an image that cannot be decoded, which loading reports, or not
+    /// within the memory for it.
+    fn finished(&self, view: SurveyedFrame) -> Option<(Camera, Image)> {
+        let file = &view.frame.file;
+        let needed = view.decode_bytes().saturating_add(self.tree.size(file).saturating_mul(2));
+        if needed > self.options.decode_bytes {
+            return None;
+        }
+        let bytes = self.tree.read(file).ok()?;
+        let image =
+            images::decode(&bytes, view.turn, self.limits).and_then(|image| view.finish(image)).ok()?;
+        Some((view.camera, image))
+    }
+}
+
+/// A note on coordinates so far from the origin that single precision loses detail, as those of maps and of the whole Earth are.
+fn distance_note(views: &[SurveyedFrame]) -> Option<String> {
+    let centers: Vec<DVec3> = views.iter().map(|view| view.frame.pose.center()).collect();
+    let mean = centers.iter().sum::<DVec3>() / centers.len().max(1) as f64;
+    let radius = centers.iter().map(|center| center.distance(mean)).fold(0.0, f64::max);
+    let distance = mean.length();
+    let radii = if distance >= MAP_DISTANCE { MAP_RADII } else { FAR_OUT };
+    if radius == 0.0 || distance < radii * radius {
+        return None;
+    }
+    // The distance between neighboring numbers of single precision.
+    let step =
+        f64::from((mean.abs().max_element() as f32).next_up()) - f64::from(mean.abs().max_element() as f32);
+    // Zero without a sign.
+    let DVec3 { x, y, z } = mean.round() + 0.0;
+    Some(format!(
+        "the cameras are {distance:.0} units from the origin and within {radius:.3} of each other, as in UTM or ECEF coordinates: \
+         single precision has steps of {step} there, so detail is lost; subtract ({x}, {y}, {z}) from all cameras and points"
+    ))
 }
 
 /// The plan by whichever layout the files are in; `None` if in none. `transforms.json` states its own cameras, so
@@ -199,7 +378,7 @@ fn plan(tree: &Tree) -> Option<Result<Plan, IngestError>> {
     if tree.has(transforms::TRANSFORMS) {
         return Some(transforms::nerfstudio(tree));
     }
-    colmap::detect(tree).map(|model| colmap::plan(tree, model))
+    colmap::detect(tree).map(|choice| colmap::plan(tree, choice))
 }
 
 /// Intrinsics of the image as it is trained on: at most [`Limits::TRAINING_WIDTH`] wide, the height rounded down.
@@ -222,21 +401,15 @@ struct Changes {
 }
 
 impl Changes {
-    fn count(
-        &mut self,
-        stated: Option<(u32, u32)>,
-        stored: &Intrinsics,
-        distortion: &Distortion,
-        cropped: &Intrinsics,
-        finished: &Intrinsics,
-    ) {
+    fn count(&mut self, stated: Option<(u32, u32)>, view: &SurveyedFrame) {
         let size = |k: &Intrinsics| (k.width, k.height);
+        let (stored, crop) = (&view.stored, (view.crop.width, view.crop.height));
         self.smaller_than_stated += usize::from(stated.is_some_and(|stated| stated != size(stored)));
-        self.undistorted += usize::from(!distortion.is_none());
-        if self.cropped.is_none() && size(stored) != size(cropped) {
-            self.cropped = Some((size(stored), size(cropped)));
+        self.undistorted += usize::from(!view.distortion.is_none());
+        if self.cropped.is_none() && size(stored) != crop {
+            self.cropped = Some((size(stored), crop));
         }
-        self.downscaled += usize::from(finished.width != cropped.width);
+        self.downscaled += usize::from(view.camera.intrinsics.width != view.crop.width);
     }
 
     fn note(&self, notes: &mut Vec<String>) {

@@ -6,7 +6,7 @@
 //! poses and the points of `ply_file_path` are both written after it, so they already agree and it is not
 //! applied again: scenes are trained, and views asked for, in the frame that the file's poses are in.
 
-use std::{borrow::Cow, collections::BTreeSet};
+use std::collections::{BTreeMap, BTreeSet};
 
 use glam::{DMat4, DVec4};
 
@@ -16,7 +16,7 @@ use super::{
     error::{IngestError, IngestErrorKind, Result},
     fields::{CameraFields, Document, Matrix, Names},
     lens::{Focal, Lens},
-    names::safe_name,
+    names::{normalized, portable, safe_name},
     plan::{ImageFiles, Plan, PlannedFrame},
     ply,
     tree::Tree,
@@ -28,6 +28,8 @@ pub(super) const TRANSFORMS: &str = "transforms.json";
 /// The Blender file of the training split.
 pub(super) const TRAIN: &str = "transforms_train.json";
 const TEST: &str = "transforms_test.json";
+/// A point cloud that programs for Blender sets look for without its being named.
+const POINTS: &str = "points3d.ply";
 const VALIDATION: &str = "transforms_val.json";
 
 /// What a side may differ by from a whole number of pixels.
@@ -36,13 +38,19 @@ const WHOLE: f64 = 1e-6;
 /// Camera models whose distortion is the polynomial that [`Distortion`] holds.
 const POLYNOMIAL_MODELS: [&str; 5] = ["OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL"];
 
+/// The model whose radial polynomial is divided by another one, of k4, k5 and k6.
+const FULL_OPENCV: &str = "FULL_OPENCV";
+const DENOMINATOR: [fn(&CameraFields) -> Option<f64>; 3] =
+    [|fields| fields.k4, |fields| fields.k5, |fields| fields.k6];
+
 /// Plans a Blender set: `transforms_train.json` is trained on and `transforms_test.json` held out.
 ///
 /// # Errors
 /// Everything that is wrong with the files or the images they list.
 pub(super) fn blender(tree: &Tree) -> Result<Plan, IngestError> {
     let mut plan = Plan::new(Layout::Blender);
-    add_frames(&mut plan, tree, TRAIN, &read(tree, TRAIN)?, Split::Train)?;
+    let train = read(tree, TRAIN)?;
+    add_frames(&mut plan, tree, TRAIN, &train, Split::Train)?;
     // An exporter may write a file without frames for programs that insist on one.
     let listed = |file: &str| {
         let document = tree.has(file).then(|| read(tree, file)).transpose()?;
@@ -52,6 +60,7 @@ pub(super) fn blender(tree: &Tree) -> Result<Plan, IngestError> {
         add_frames(&mut plan, tree, TEST, &test, Split::Test)?;
         if tree.has(VALIDATION) {
             plan.notes.push(format!("{VALIDATION} is not used: {TEST} is what is held out"));
+            plan.noted.insert(VALIDATION.to_owned());
         }
     } else {
         let missing = if tree.has(TEST) { "has no frames" } else { "is missing" };
@@ -63,6 +72,7 @@ pub(super) fn blender(tree: &Tree) -> Result<Plan, IngestError> {
             plan.notes.push(format!("{TEST} {missing}: every 8th image by name is held out"));
         }
     }
+    add_points(&mut plan, tree, TRAIN, &train)?;
     plan.ordered(TRAIN)
 }
 
@@ -74,30 +84,31 @@ pub(super) fn nerfstudio(tree: &Tree) -> Result<Plan, IngestError> {
     let mut plan = Plan::new(Layout::Nerfstudio);
     let document = read(tree, TRANSFORMS)?;
     add_frames(&mut plan, tree, TRANSFORMS, &document, Split::Train)?;
-    plan.note_unlisted(tree, TRANSFORMS);
     split(&mut plan, &document)?;
-    match &document.ply_file_path {
+    add_points(&mut plan, tree, TRANSFORMS, &document)?;
+    plan.ordered(TRANSFORMS)
+}
+
+/// Adds the points of the cloud that `file` names, else of the one that lies at the top.
+fn add_points(plan: &mut Plan, tree: &Tree, file: &str, document: &Document) -> Result<(), IngestError> {
+    let named = match &document.ply_file_path {
         Some(path) => {
             let portable = portable(path);
-            let name = safe_name(&portable).map_err(|error| {
-                field("/ply_file_path".to_owned(), format!("'{path}': {error}")).at(TRANSFORMS)
-            })?;
-            let points = tree.parse(name, u64::MAX, |reader, length| {
-                let mut points = tree.points();
-                ply::points(reader, length, &mut points)?;
-                Ok(points)
-            })?;
-            if points.count() == 0 {
-                plan.notes.push(format!("{name} has no points: training starts from random ones"));
-            } else {
-                plan.points = Some(points);
-            }
+            let name = safe_name(&portable)
+                .map_err(|error| field("/ply_file_path".to_owned(), format!("'{path}': {error}")).at(file))?;
+            Some(tree.find(name).unwrap_or(name).to_owned())
         }
+        None => tree.find_in_any_case(POINTS).map(str::to_owned),
+    };
+    match named {
+        Some(name) => plan.take_points(ply::read(tree, &name)?, &name),
+        // Blender sets usually have none.
+        None if plan.layout == Layout::Blender => {}
         None => plan.notes.push(format!(
-            "{TRANSFORMS} names no point cloud (ply_file_path): training starts from random points"
+            "{file} names no point cloud (ply_file_path) and there is no {POINTS}: training starts from random points"
         )),
     }
-    plan.ordered(TRANSFORMS)
+    Ok(())
 }
 
 fn read(tree: &Tree, file: &str) -> Result<Document, IngestError> {
@@ -111,18 +122,22 @@ fn add_frames(
     document: &Document,
     split: Split,
 ) -> Result<(), IngestError> {
+    let masks = |place: String| IngestErrorKind::Masks { place: format!("at {place}") }.at(file);
+    if let Some(mask) = &document.mask {
+        return Err(masks(mask.clone()));
+    }
     let mut images = ImageFiles::new(tree, file);
     for (index, frame) in document.frames.iter().enumerate() {
         let place = format!("/frames/{index}");
-        if frame.masked {
-            return Err(IngestErrorKind::Masks { place: format!("at {place}/mask_path") }.at(file));
+        if let Some(mask) = &frame.mask {
+            return Err(masks(format!("{place}{mask}")));
         }
-        let found = images.find("", &portable(&frame.file_path), &format!("{place}/file_path"))?;
+        let found = images.find("", &frame.file_path, &format!("{place}/file_path"))?;
         let pose = pose(frame.transform_matrix, &place).map_err(|error| error.at(file))?;
         let lens = lens(&frame.camera, &document.camera, &place).map_err(|error| error.at(file))?;
         let lens = plan.lens(lens);
-        if let Some((name, file)) = found {
-            plan.frames.push(PlannedFrame { name, file, lens, pose, split });
+        if let Some((name, image)) = found {
+            plan.add(PlannedFrame { name, file: image, lens, pose, split }, file);
         }
     }
     images.finish()
@@ -136,11 +151,12 @@ fn split(plan: &mut Plan, document: &Document) -> Result<(), IngestError> {
         return Ok(());
     }
     let listed = |list: &'static str, names: &Option<Names>| {
-        let known: BTreeSet<&str> = plan.frames.iter().map(|frame| frame.name.as_str()).collect();
+        let known: BTreeMap<_, &str> =
+            plan.frames.iter().map(|frame| (normalized(&frame.name), frame.name.as_str())).collect();
         let mut listed = BTreeSet::new();
         for stated in names.iter().flat_map(|names| &names.0) {
-            match safe_name(&portable(stated)) {
-                Ok(name) if known.contains(name) => listed.insert(name.to_owned()),
+            match safe_name(&portable(stated)).map(|name| known.get(&normalized(name))) {
+                Ok(Some(name)) => listed.insert((*name).to_owned()),
                 _ => return Err(IngestErrorKind::UnknownFrame { list, name: stated.clone() }.at(TRANSFORMS)),
             };
         }
@@ -167,11 +183,6 @@ fn split(plan: &mut Plan, document: &Document) -> Result<(), IngestError> {
     Ok(())
 }
 
-/// A path as it is written on other systems than Windows. A backslash is part of no other name that is accepted.
-fn portable(path: &str) -> Cow<'_, str> {
-    if path.contains('\\') { path.replace('\\', "/").into() } else { path.into() }
-}
-
 fn pose(rows: Matrix, place: &str) -> Result<Pose> {
     let Matrix(Some(rows)) = rows else {
         let message = "must be a matrix of 4 rows (or 3) of 4 numbers".to_owned();
@@ -184,10 +195,18 @@ fn pose(rows: Matrix, place: &str) -> Result<Pose> {
 }
 
 fn lens(frame: &CameraFields, shared: &CameraFields, place: &str) -> Result<Lens> {
-    if let Some(model) = frame.camera_model.as_ref().or(shared.camera_model.as_ref())
-        && !POLYNOMIAL_MODELS.contains(&model.as_str())
-    {
-        return Err(IngestErrorKind::CameraModel { place: place.to_owned(), model: model.clone() });
+    let value = |of: fn(&CameraFields) -> Option<f64>| of(frame).or(of(shared));
+    let coefficient = |of| value(of).unwrap_or(0.0);
+    if let Some(model) = frame.camera_model.as_ref().or(shared.camera_model.as_ref()) {
+        let model = match model.as_str() {
+            known if POLYNOMIAL_MODELS.contains(&known) => None,
+            FULL_OPENCV if DENOMINATOR.iter().all(|k| coefficient(*k) == 0.0) => None,
+            FULL_OPENCV => Some(format!("{FULL_OPENCV} with k4, k5 or k6")),
+            other => Some(other.to_owned()),
+        };
+        if let Some(model) = model {
+            return Err(IngestErrorKind::CameraModel { place: place.to_owned(), model });
+        }
     }
     if frame.is_fisheye.or(shared.is_fisheye) == Some(true) {
         return Err(IngestErrorKind::CameraModel {
@@ -212,8 +231,6 @@ fn lens(frame: &CameraFields, shared: &CameraFields, place: &str) -> Result<Lens
         (None, None) => None,
         _ => return Err(field(place.to_owned(), "only one of w and h is stated".to_owned())),
     };
-    let value = |of: fn(&CameraFields) -> Option<f64>| of(frame).or(of(shared));
-    let coefficient = |of| value(of).unwrap_or(0.0);
     let lens = Lens {
         focal,
         principal: [value(|fields| fields.cx), value(|fields| fields.cy)],

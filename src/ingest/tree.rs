@@ -5,7 +5,8 @@
 //! stream, so their length costs time and not memory.
 
 use std::{
-    collections::BTreeMap,
+    borrow::Cow,
+    collections::{BTreeMap, BTreeSet},
     fs,
     io::{self, BufRead, BufReader, Read},
     path::Path,
@@ -21,14 +22,23 @@ use super::{
     error::{IngestError, IngestErrorKind, Result},
     folder,
     limits::Limits,
-    names::{is_os_metadata, safe_name},
+    names::{is_os_metadata, normalized, safe_name},
     points::Points,
-    source::{FileSource, Listing},
+    source::{FileSource, Listing, NameEncoding},
 };
 use crate::domain::Digest;
 
 /// Buffer for reading a table.
 const BUFFER_BYTES: usize = 64 << 10;
+
+/// Ending of tables that are not text.
+const BINARY_TABLE: &str = ".bin";
+
+/// What some programs put before UTF-8 text.
+const BYTE_ORDER_MARK: &[u8] = b"\xef\xbb\xbf";
+
+/// The same of UTF-16, in both byte orders.
+const UTF_16_MARKS: [&[u8]; 2] = [b"\xff\xfe", b"\xfe\xff"];
 
 /// Why a dataset is read.
 #[derive(Debug, Clone, Copy)]
@@ -42,7 +52,11 @@ pub(super) enum Purpose {
 /// The readable files of a dataset.
 pub(super) struct Tree {
     files: BTreeMap<String, Entry>,
+    /// Names by their normal form, of those that are in another.
+    by_normal_form: BTreeMap<String, String>,
     special: BTreeMap<String, &'static str>,
+    names: NameEncoding,
+    skipped: usize,
     source: Box<dyn FileSource>,
     limits: Limits,
     purpose: Purpose,
@@ -74,13 +88,13 @@ impl Tree {
     }
 
     fn new(
-        listing: Listing,
+        mut listing: Listing,
         limits: Limits,
         purpose: Purpose,
         faults: DiskFaults,
     ) -> Result<Self, IngestError> {
         let mut files = BTreeMap::new();
-        for (index, (name, size)) in listing.files.into_iter().enumerate() {
+        for (index, (name, size)) in std::mem::take(&mut listing.files).into_iter().enumerate() {
             let safe = safe_name(&name).map_err(|error| error.at(name.clone()))?.to_owned();
             if is_os_metadata(&safe) {
                 continue;
@@ -89,8 +103,19 @@ impl Tree {
                 return Err(IngestErrorKind::DuplicateEntry.at(name));
             }
         }
-        let special = listing.special.into_iter().collect();
-        Ok(Self { files, special, source: listing.source, limits, purpose, faults, used: Mutex::default() })
+        let Listing { special, names, skipped, source, .. } = listing;
+        Ok(Self {
+            by_normal_form: by_normal_form(&files),
+            files,
+            special: special.into_iter().collect(),
+            names,
+            skipped,
+            source,
+            limits,
+            purpose,
+            faults,
+            used: Mutex::default(),
+        })
     }
 
     /// What the disk of an archive does.
@@ -140,12 +165,47 @@ impl Tree {
             .into_iter()
             .filter_map(|(name, kind)| Some((strip(name)?, kind)))
             .collect();
+        self.by_normal_form = by_normal_form(&self.files);
         true
     }
 
     /// Whether there is a file of this name.
     pub(super) fn has(&self, name: &str) -> bool {
         self.files.contains_key(name)
+    }
+
+    /// The file that a table means by `name`: that very name, or one that differs in nothing but the form of its Unicode.
+    pub(super) fn find(&self, name: &str) -> Option<&str> {
+        let exact = |name: &str| self.files.get_key_value(name).map(|(name, _)| name.as_str());
+        exact(name).or_else(|| {
+            let normal = normalized(name);
+            exact(&normal).or_else(|| self.by_normal_form.get(&*normal).map(String::as_str))
+        })
+    }
+
+    /// The only file whose name differs from `name` in the case of letters alone, or that very one.
+    pub(super) fn find_in_any_case(&self, name: &str) -> Option<&str> {
+        self.find(name).or_else(|| self.names().find(|found| found.eq_ignore_ascii_case(name)))
+    }
+
+    /// The encoding of names beyond ASCII.
+    pub(super) fn name_encoding(&self) -> NameEncoding {
+        self.names
+    }
+
+    /// How many entries of a directory have names that no dataset could state.
+    pub(super) fn skipped(&self) -> usize {
+        self.skipped
+    }
+
+    /// Links and other special files.
+    pub(super) fn special(&self) -> impl Iterator<Item = &str> {
+        self.special.keys().map(String::as_str)
+    }
+
+    /// The files whose content was used so far.
+    pub(super) fn used(&self) -> BTreeSet<String> {
+        self.used.lock().unwrap_or_else(PoisonError::into_inner).keys().cloned().collect()
     }
 
     /// Bytes of a file as the source states them; 0 if there is none.
@@ -206,13 +266,33 @@ impl Tree {
         largest: u64,
         parse: impl FnOnce(&mut dyn BufRead, u64) -> Result<T>,
     ) -> Result<T, IngestError> {
+        let (parsed, length, hash) = self.parse_unused(name, largest, parse)?;
+        self.use_content(name, length, hash);
+        Ok(parsed)
+    }
+
+    /// As [`Tree::parse`], but the file does not count as used. Also returns its length and SHA-256.
+    ///
+    /// # Errors
+    /// As [`Tree::parse`].
+    pub(super) fn parse_unused<T>(
+        &self,
+        name: &str,
+        largest: u64,
+        parse: impl FnOnce(&mut dyn BufRead, u64) -> Result<T>,
+    ) -> Result<(T, u64, [u8; 32]), IngestError> {
         let largest = largest.min(self.limits.file_bytes);
         let entry = self.entry(name, largest)?;
         let (mut parse, mut outcome) = (Some(parse), None);
         let visited = self.source.open(entry.index, &mut |file| {
             let Some(parse) = parse.take() else { return };
             let mut content = Content::new(file, largest, self.purpose.deadline());
-            let parsed = parse(&mut BufReader::with_capacity(BUFFER_BYTES, &mut content), entry.size);
+            let mut reader = BufReader::with_capacity(BUFFER_BYTES, &mut content);
+            let parsed = if name.ends_with(BINARY_TABLE) {
+                parse(&mut reader, entry.size)
+            } else {
+                parse_text(&mut reader, entry.size, parse)
+            };
             // What ends this early is kept in `content`.
             let _rest = io::copy(&mut content, &mut io::sink());
             let Content { hash, length, end, .. } = content;
@@ -228,9 +308,7 @@ impl Tree {
             Some(End::Source(error)) => return Err(self.read_failure(name, self.source.read_error(error))),
             None => {}
         }
-        let parsed = parsed.map_err(|error| error.at(name))?;
-        self.use_content(name, length, hash);
-        Ok(parsed)
+        Ok((parsed.map_err(|error| error.at(name))?, length, hash))
     }
 
     /// The first `limit` bytes of a file. It does not count as used.
@@ -272,6 +350,29 @@ impl Tree {
         }
         Digest::from_bytes(hash.finalize().into())
     }
+}
+
+fn by_normal_form(files: &BTreeMap<String, Entry>) -> BTreeMap<String, String> {
+    let form = |name: &String| match normalized(name) {
+        Cow::Owned(normal) => Some((normal, name.clone())),
+        Cow::Borrowed(_) => None,
+    };
+    files.keys().filter_map(form).collect()
+}
+
+/// What `parse` makes of a text behind its byte order mark, if it has one.
+fn parse_text<T>(
+    reader: &mut impl BufRead,
+    length: u64,
+    parse: impl FnOnce(&mut dyn BufRead, u64) -> Result<T>,
+) -> Result<T> {
+    let mut head = Vec::with_capacity(BYTE_ORDER_MARK.len());
+    reader.by_ref().take(BYTE_ORDER_MARK.len() as u64).read_to_end(&mut head)?;
+    if UTF_16_MARKS.iter().any(|mark| head.starts_with(mark)) {
+        return Err(IngestErrorKind::Utf16);
+    }
+    let mark = if head == BYTE_ORDER_MARK { head.len() } else { 0 };
+    parse(&mut (&head[mark..]).chain(reader), length.saturating_sub(mark as u64))
 }
 
 impl Purpose {

@@ -42,8 +42,8 @@ use self::{
 };
 use crate::{
     domain::{
-        CancelFlag, Dataset, FailurePoint, MemoryBudget, MemoryLimits, NamedCamera, Phase, Progress,
-        TrainOptions, failure_point::reach,
+        CancelFlag, Dataset, ExifOrientation, FailurePoint, MemoryBudget, MemoryLimits, NamedCamera, Phase,
+        Progress, TrainOptions, failure_point::reach,
     },
     eval::Lpips,
     gpu::{AdapterChoice, Device, DeviceSettings, GpuError, Profile, RecordingProfile},
@@ -166,7 +166,9 @@ impl RunJob for Pipeline {
         let budget = self.budget(&device);
         // Training needs the other half.
         let load_budget = LoadBudget { memory_bytes: budget.host / 2, spill_dir: self.spill_dir.clone() };
-        let dataset = load(dataset, &load_budget, &mut || report(Phase::Ingest, &start), cancel)?;
+        let orientation = options.exif_orientation;
+        let dataset =
+            load(dataset, orientation, &load_budget, &mut || report(Phase::Ingest, &start), cancel)?;
         for note in &dataset.notes {
             tracing::info!("dataset: {note}");
         }
@@ -209,6 +211,7 @@ impl RunJob for Pipeline {
 /// Reads the dataset on a thread of its own, so that this one can report each image; stops soon after `cancel`.
 fn load(
     dataset: &Path,
+    orientation: ExifOrientation,
     load_budget: &LoadBudget,
     heartbeat: &mut dyn FnMut(),
     cancel: &CancelFlag,
@@ -223,7 +226,7 @@ fn load(
                 let _ = send.send(());
                 !cancel.is_cancelled()
             };
-            ingest::load_cancellable(dataset, load_budget, &go_on)
+            ingest::load_oriented(dataset, orientation, load_budget, &go_on)
         });
         for () in images {
             reach(FailurePoint::Ingest);

@@ -59,6 +59,7 @@ const EXTERNAL: &[(&str, &[&str])] = &[
     ("wgpu", &["gpu", "model", "render", "train"]),
     ("naga_oil", &["gpu"]),
     ("zip", &["ingest", "sample"]),
+    ("unicode_normalization", &["ingest"]),
     ("constriction", &["codec"]),
     ("kiddo", &["model", "codec"]),
     ("jpeg_encoder", &["picture"]),

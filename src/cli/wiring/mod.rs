@@ -22,8 +22,8 @@ use std::{
 use tcgs::{
     codec::{self, EncodeError, EncodeSettings, Encoded},
     domain::{
-        AnchorScene, Background, Camera, Dataset, DatasetSummary, Digest, Image, MemoryLimits, NamedCamera,
-        Problem, ProblemType, Scene, Scores, Split,
+        AnchorScene, Background, Camera, Dataset, DatasetSummary, Digest, ExifOrientation, Image,
+        MemoryLimits, NamedCamera, Problem, ProblemType, Scene, Scores, Split,
     },
     eval::{InFlight, Lpips, ViewTasks, band_errors, for_each_view, mean_scores_with, score_view},
     export::anchors,
@@ -64,11 +64,17 @@ pub(crate) struct Inspection {
     pub(crate) text: String,
 }
 
-/// Reads a dataset; photographs may use half of the available memory.
+/// As [`load_oriented`], with EXIF orientations as the cameras have them.
 pub(crate) fn load_dataset(path: &Path) -> Result<Dataset, Problem> {
+    load_oriented(path, ExifOrientation::Auto)
+}
+
+/// Reads a dataset; photographs may use half of the available memory.
+pub(crate) fn load_oriented(path: &Path, orientation: ExifOrientation) -> Result<Dataset, Problem> {
     let host = MemoryFlags::default().limits(1).host;
     let load_budget = LoadBudget { memory_bytes: host / 2, ..LoadBudget::default() };
-    ingest::load_with_budget(path, &load_budget).map_err(|problem| named(problem, path))
+    ingest::load_oriented(path, orientation, &load_budget, &|| true)
+        .map_err(|error| named(error.into(), path))
 }
 
 /// Names the dataset in a problem that names no file in it.
@@ -89,9 +95,12 @@ pub(crate) fn check_dataset(path: &Path) -> Result<(), Problem> {
     ingest::check(path).map(drop).map_err(|problem| named(problem, path))
 }
 
-/// What a dataset holds and its cameras, checked without reading its pixels.
-pub(crate) fn survey_dataset(path: &Path) -> Result<(DatasetSummary, Vec<NamedCamera>), Problem> {
-    ingest::check_with_cameras(path).map_err(|problem| named(problem, path))
+/// What a dataset holds and its cameras. Pixels are read only where they decide about an EXIF orientation.
+pub(crate) fn survey_dataset(
+    path: &Path,
+    orientation: ExifOrientation,
+) -> Result<(DatasetSummary, Vec<NamedCamera>), Problem> {
+    ingest::check_oriented(path, orientation).map_err(|problem| named(problem, path))
 }
 
 /// The cameras of a dataset, without reading its pixels.

@@ -14,7 +14,7 @@ use super::{
 /// id, model, width, height and the fewest parameters.
 const MIN_CAMERA_BYTES: usize = 4 + 4 + 8 + 8 + MIN_PARAMETERS * 8;
 /// id, pose, camera, an empty name and no points.
-const MIN_IMAGE_BYTES: usize = 4 + 7 * 8 + 4 + 1 + 8;
+pub(super) const MIN_IMAGE_BYTES: usize = 4 + 7 * 8 + 4 + 1 + 8;
 /// x, y and the point's id.
 const OBSERVATION: usize = 24;
 /// id, position, colour, error and an empty track.

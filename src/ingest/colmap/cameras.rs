@@ -14,7 +14,7 @@ const MODELS: [(&str, Option<usize>); 12] = [
     ("RADIAL", Some(5)),
     ("OPENCV", Some(8)),
     ("OPENCV_FISHEYE", None),
-    ("FULL_OPENCV", None),
+    ("FULL_OPENCV", Some(12)),
     ("FOV", None),
     ("SIMPLE_RADIAL_FISHEYE", None),
     ("RADIAL_FISHEYE", None),
@@ -74,12 +74,23 @@ impl CameraRecord {
     /// [`IngestErrorKind::Record`], [`IngestErrorKind::NonFiniteDistortion`] or [`IngestErrorKind::Camera`].
     pub(super) fn lens(&self) -> Result<Lens> {
         let place = place(self.id);
-        let (f, c, radial, tangential) = match (self.model, self.parameters.as_slice()) {
-            ("SIMPLE_PINHOLE", &[f, cx, cy]) => ([f, f], [cx, cy], [0.0; 2], [0.0; 2]),
-            ("PINHOLE", &[fx, fy, cx, cy]) => ([fx, fy], [cx, cy], [0.0; 2], [0.0; 2]),
-            ("SIMPLE_RADIAL", &[f, cx, cy, k]) => ([f, f], [cx, cy], [k, 0.0], [0.0; 2]),
-            ("RADIAL", &[f, cx, cy, k1, k2]) => ([f, f], [cx, cy], [k1, k2], [0.0; 2]),
-            ("OPENCV", &[fx, fy, cx, cy, k1, k2, p1, p2]) => ([fx, fy], [cx, cy], [k1, k2], [p1, p2]),
+        let (f, c, [k1, k2, k3], tangential) = match (self.model, self.parameters.as_slice()) {
+            ("SIMPLE_PINHOLE", &[f, cx, cy]) => ([f, f], [cx, cy], [0.0; 3], [0.0; 2]),
+            ("PINHOLE", &[fx, fy, cx, cy]) => ([fx, fy], [cx, cy], [0.0; 3], [0.0; 2]),
+            ("SIMPLE_RADIAL", &[f, cx, cy, k]) => ([f, f], [cx, cy], [k, 0.0, 0.0], [0.0; 2]),
+            ("RADIAL", &[f, cx, cy, k1, k2]) => ([f, f], [cx, cy], [k1, k2, 0.0], [0.0; 2]),
+            ("OPENCV", &[fx, fy, cx, cy, k1, k2, p1, p2]) => ([fx, fy], [cx, cy], [k1, k2, 0.0], [p1, p2]),
+            ("FULL_OPENCV", &[fx, fy, cx, cy, k1, k2, p1, p2, k3, k4, k5, k6]) => {
+                // k4, k5 and k6 are the polynomial that the radial one is divided by.
+                let denominator = [k4, k5, k6];
+                if denominator.iter().any(|k| !k.is_finite()) {
+                    return Err(IngestErrorKind::NonFiniteDistortion { place });
+                }
+                if denominator != [0.0; 3] {
+                    return Err(unsupported(self.id, "FULL_OPENCV with k4, k5 or k6".to_owned()));
+                }
+                ([fx, fy], [cx, cy], [k1, k2, k3], [p1, p2])
+            }
             (model, parameters) => {
                 let message = format!("{model} does not have {} parameters", parameters.len());
                 return Err(IngestErrorKind::Record { place, message });
@@ -93,7 +104,7 @@ impl CameraRecord {
             focal: Focal::Pixels { x: f[0], y: f[1] },
             principal: c.map(Some),
             size: Some((width, height)),
-            distortion: Distortion { radial: [radial[0], radial[1], 0.0, 0.0], tangential },
+            distortion: Distortion { radial: [k1, k2, k3, 0.0], tangential },
         };
         if !lens.distortion.is_finite() {
             return Err(IngestErrorKind::NonFiniteDistortion { place });
@@ -142,7 +153,22 @@ mod tests {
             let error = model_by_number(3, number).expect_err(name).to_string();
             assert!(error.starts_with(&format!("camera 3: camera model {name} is not supported")), "{error}");
         }
-        assert!(model_by_name(3, "FULL_OPENCV").is_err() && model_by_name(3, "pinhole").is_err());
+        assert!(model_by_name(3, "OPENCV_FISHEYE").is_err() && model_by_name(3, "pinhole").is_err());
+    }
+
+    #[test]
+    fn full_opencv_is_its_simpler_camera_where_nothing_is_divided() {
+        assert_eq!(model_by_name(3, "FULL_OPENCV").expect("a model"), ("FULL_OPENCV", 12));
+        assert_eq!(model_by_number(3, 6).expect("a model"), ("FULL_OPENCV", 12));
+        let opencv = [9.0, 8.0, 1.0, 2.0, 0.1, 0.2, 0.3, 0.4];
+        let full = |extra: [f64; 4]| record("FULL_OPENCV", &[&opencv[..], &extra].concat()).lens();
+        assert_eq!(full([0.0; 4]).expect("a lens"), record("OPENCV", &opencv).lens().expect("a lens"));
+        assert_eq!(full([0.5, 0.0, 0.0, 0.0]).expect("a lens").distortion.radial, [0.1, 0.2, 0.5, 0.0]);
+        for extra in [[0.0, 0.1, 0.0, 0.0], [0.0, 0.0, 0.1, 0.0], [0.0, 0.0, 0.0, 0.1]] {
+            let error = full(extra).expect_err("a division").to_string();
+            assert!(error.contains("FULL_OPENCV with k4, k5 or k6 is not supported"), "{error}");
+        }
+        assert!(matches!(full([0.0, f64::NAN, 0.0, 0.0]), Err(IngestErrorKind::NonFiniteDistortion { .. })));
     }
 
     #[test]

@@ -5,24 +5,24 @@
 
 mod binary;
 mod cameras;
+mod model;
 mod text;
 
 use std::collections::BTreeMap;
 
 use glam::{DMat3, DQuat, DVec3};
 
+pub(super) use self::model::{Choice, detect};
 use self::text::Lines;
 use super::{
     error::{IngestError, IngestErrorKind, Result},
     plan::{ImageFiles, Plan, PlannedFrame, RecordCounter},
+    ply,
     points::Points,
     table_reader::TableReader,
     tree::Tree,
 };
 use crate::domain::{CameraError, Layout, Pose, Split};
-
-/// Where a model may lie, in the order of preference.
-const FOLDERS: [&str; 3] = ["sparse/0/", "sparse/", "colmap/sparse/0/"];
 
 /// Where the photographs lie.
 const IMAGES: &str = "images/";
@@ -38,49 +38,36 @@ struct ImageRecord {
     name: String,
 }
 
-/// A model's folder and the extension of its tables.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) struct Model {
-    folder: &'static str,
-    extension: &'static str,
-}
-
-/// The model of the dataset, if there is one.
-pub(super) fn detect(tree: &Tree) -> Option<Model> {
-    FOLDERS
-        .into_iter()
-        .flat_map(|folder| ["bin", "txt"].map(|extension| Model { folder, extension }))
-        .find(|model| tree.has(&model.table("cameras")))
-}
-
-impl Model {
-    fn table(&self, name: &str) -> String {
-        format!("{}{name}.{}", self.folder, self.extension)
-    }
-}
-
 /// Plans a COLMAP set.
 ///
 /// # Errors
 /// Everything that is wrong with the tables or the images they list.
-pub(super) fn plan(tree: &Tree, model: Model) -> Result<Plan, IngestError> {
-    let [cameras_file, images_file, points_file] =
-        ["cameras", "images", "points3D"].map(|name| model.table(name));
-    for file in [&images_file, &points_file] {
-        if !tree.has(file) {
-            return Err(tree.special_on_path(file).unwrap_or_else(|| {
-                IngestErrorKind::MissingFile("a COLMAP model has cameras, images and points3D").at(file)
-            }));
-        }
+pub(super) fn plan(tree: &Tree, choice: Choice) -> Result<Plan, IngestError> {
+    let Choice { model, unused, note } = choice;
+    let [cameras_file, images_file] = ["cameras", "images"].map(|name| model.table(name));
+    let missing = |file: &str| {
+        tree.special_on_path(file).unwrap_or_else(|| {
+            let needed =
+                "a COLMAP model has cameras, images and points3D (.bin or .txt; the points also .ply)";
+            IngestErrorKind::MissingFile(needed).at(file)
+        })
+    };
+    if !tree.has(&images_file) {
+        return Err(missing(&images_file));
     }
+    let points_file = model.points(tree).ok_or_else(|| missing(&model.table("points3D")))?;
     let cameras = parse(tree, &cameras_file, binary::cameras, text::cameras)?;
     let images = parse(tree, &images_file, binary::images, text::images)?;
-    let points = parse(
-        tree,
-        &points_file,
-        |bytes| kept(tree, |points| binary::points(bytes, points)),
-        |lines| kept(tree, |points| text::points(lines, points)),
-    )?;
+    let points = if points_file.ends_with(".ply") {
+        ply::read(tree, points_file)?
+    } else {
+        parse(
+            tree,
+            points_file,
+            |bytes| kept(tree, |points| binary::points(bytes, points)),
+            |lines| kept(tree, |points| text::points(lines, points)),
+        )?
+    };
 
     let mut plan = Plan::new(Layout::Colmap);
     let mut lenses = BTreeMap::new();
@@ -102,20 +89,14 @@ pub(super) fn plan(tree: &Tree, model: Model) -> Result<Plan, IngestError> {
         })?;
         let pose = pose(image, &place).map_err(|error| error.at(&images_file))?;
         if let Some((name, file)) = found {
-            plan.frames.push(PlannedFrame { name, file, lens, pose, split: Split::Train });
+            plan.add(PlannedFrame { name, file, lens, pose, split: Split::Train }, &images_file);
         }
     }
     files.finish()?;
     plan.hold_out();
-    plan.note_unlisted(tree, &images_file);
-    if model.folder == FOLDERS[0] && tree.names().any(|name| name.starts_with("sparse/1/")) {
-        plan.notes.push("there is more than one model under sparse/: sparse/0 is used".to_owned());
-    }
-    if points.count() == 0 {
-        plan.notes.push(format!("{points_file} has no points: training starts from random ones"));
-    } else {
-        plan.points = Some(points);
-    }
+    plan.notes.extend(note);
+    plan.noted = unused;
+    plan.take_points(points, points_file);
     plan.ordered(&images_file)
 }
 

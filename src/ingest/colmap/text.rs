@@ -69,6 +69,20 @@ pub(super) fn images(lines: &mut Lines) -> Result<Vec<ImageRecord>> {
     Ok(images)
 }
 
+/// How many images `images.txt` lists, each with its line of points. Poses are not looked at.
+pub(super) fn count_images(lines: &mut Lines) -> Result<u64> {
+    let mut count = 0;
+    while let Some(line) = lines.next_record()? {
+        let _: u32 = line.fields().next("IMAGE_ID")?;
+        line.after(9).ok_or_else(|| line.error("NAME is missing".to_owned()))?;
+        if !lines.pass_triples()? {
+            return Err(error(lines.number, "expected a line of points".to_owned()));
+        }
+        count += 1;
+    }
+    Ok(count)
+}
+
 /// `points3D.txt`: `POINT3D_ID X Y Z R G B ERROR TRACK[]`.
 pub(super) fn points(lines: &mut Lines, cloud: &mut Points) -> Result<()> {
     while let Some(line) = lines.next_record()? {
