@@ -25,7 +25,7 @@ const MAX_POINTS: usize = 10_000;
 const MIN_POINTS: usize = 30;
 
 /// How many times as much the wrong reading differs at least.
-const MIN_RATIO: f64 = 1.5;
+const MIN_RATIO: f64 = 1.25;
 
 /// What tells which way up a photograph is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

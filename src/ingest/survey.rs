@@ -317,6 +317,9 @@ impl Comparer<'_> {
             return Ok(otherwise(Unknown::NoColors));
         };
         let Some(cloud) = points.cloud() else { return Ok(Decision::Unknown(Unknown::NotRead)) };
+        if cloud.colors.windows(2).all(|pair| pair[0] == pair[1]) {
+            return Ok(otherwise(Unknown::NoColors));
+        }
         let mut comparison = Comparison::default();
         let step = undecided.len().div_ceil(MAX_COMPARED).max(1);
         for (frame, header) in undecided.iter().step_by(step) {
