@@ -16,7 +16,7 @@ FUZZ_SECONDS ?= 600
 KILLS ?= 105
 SOAK_TESTS ?= system::soak system::crash_points system::io_faults system::reordered bucket_faults
 
-.PHONY: help setup build demo results long-results gate test examples schemathesis generated-client container-smoke manifests swiftshader validation interop external-formats gpu-kit fuzz soak lint clean
+.PHONY: help setup build demo results long-results gate test examples schemathesis generated-client container-smoke manifests swiftshader validation interop external-formats gpu-kit hardware-report fuzz soak lint clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## /  make \1\t/p' Makefile | expand -t 16
@@ -62,6 +62,9 @@ swiftshader: setup ## tests of kernels and whole jobs on SwiftShader, a driver w
 
 gpu-kit: setup ## pack binaries and photographs for scripts/gpu_day.sh, to run on a GPU without cargo or a network
 	@scripts/gpu_kit.sh
+
+hardware-report: ## rewrite the tables of docs/HARDWARE.md from RUNS, the JSON files of scripts/gpu_day.sh
+	@scripts/hardware.py $(RUNS)
 
 validation: setup ## one short job under the Khronos validation layer, which comes from a Debian package
 	@$(CARGO) build --locked --quiet

@@ -5,6 +5,7 @@ mod command_line;
 mod container_image;
 mod deployment;
 pub(crate) mod examples;
+mod hardware;
 mod links;
 mod manifests;
 mod plots;
