@@ -1,11 +1,11 @@
 //! Exclusive prefix sums on the device.
 //!
-//! Sums saturate at `u32::MAX`. The result does not depend on subgroups or scheduling. The number of dispatches is constant, and
-//! the count is read on the device.
+//! Sums saturate at `u32::MAX`. The result does not depend on subgroups or scheduling, no workgroup waits for another, and the count
+//! is read on the device.
 
 use std::sync::Arc;
 
-use super::{AdapterReport, Buffer, Kernel, Plan, Recorder, kernel_source, planned};
+use super::{AdapterReport, Buffer, Kernel, KernelVariant, Plan, Recorder, kernel_source, planned};
 
 #[repr(C)]
 #[derive(Debug, Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]
@@ -25,12 +25,39 @@ pub struct ScanSlots {
     pub total: u32,
 }
 
+/// Values of a block of the hardware's kernels: 256 lanes of eight.
+const BLOCK: usize = 2048;
+
+/// Runs of the software's kernels, one invocation each.
+const RUNS: u32 = 512;
+
+#[derive(Debug)]
+enum Kernels {
+    /// Each invocation has a contiguous run: sums of the runs, their prefix sums in one workgroup, prefix sums of all values.
+    Software { reduce: Arc<Kernel>, scan: Arc<Kernel>, apply: Arc<Kernel> },
+    /// Each workgroup has a block: sums of the blocks, prefix sums of all values.
+    Hardware { reduce: Arc<Kernel>, apply: Arc<Kernel> },
+}
+
+impl Kernels {
+    fn plan(variant: KernelVariant) -> Plan<'static, Self> {
+        let kernel = |source| Plan::kernel(source, &[]);
+        match variant {
+            KernelVariant::Software => kernel(kernel_source!("scan_reduce"))
+                .and(kernel(kernel_source!("scan_partials")))
+                .and(kernel(kernel_source!("scan_apply")))
+                .map(|((reduce, scan), apply)| Self::Software { reduce, scan, apply }),
+            KernelVariant::Hardware => kernel(kernel_source!("scan_block_sums"))
+                .and(kernel(kernel_source!("scan_blocks")))
+                .map(|(reduce, apply)| Self::Hardware { reduce, apply }),
+        }
+    }
+}
+
 /// A prefix sum over up to `capacity` values.
 #[derive(Debug)]
 pub struct Scan {
-    reduce: Arc<Kernel>,
-    scan: Arc<Kernel>,
-    apply: Arc<Kernel>,
+    kernels: Kernels,
     params: Buffer<ScanParams>,
     partials: Buffer<u32>,
     groups: u32,
@@ -40,20 +67,20 @@ impl Scan {
     /// Plans the scan.
     #[must_use]
     pub fn plan(adapter: &AdapterReport, capacity: usize, slots: ScanSlots) -> Plan<'static, Self> {
-        let runs: u32 = adapter.variant.choose(512, 8192);
-        let params = ScanParams {
-            runs,
-            count_index: slots.count,
-            capacity: u32::try_from(capacity).unwrap_or(u32::MAX),
-            total_index: slots.total,
-        };
+        let capacity_u32 = u32::try_from(capacity).unwrap_or(u32::MAX);
+        let blocks = capacity_u32.div_ceil(BLOCK as u32).max(1);
+        let (runs, groups, partials) = adapter.variant.choose(
+            (RUNS, RUNS.div_ceil(32), RUNS as usize),
+            // The first is the number of values.
+            (blocks, blocks, 1 + blocks as usize),
+        );
+        let params =
+            ScanParams { runs, count_index: slots.count, capacity: capacity_u32, total_index: slots.total };
         planned!(Self {
-            reduce: Plan::kernel(kernel_source!("scan_reduce"), &[]),
-            scan: Plan::kernel(kernel_source!("scan_partials"), &[]),
-            apply: Plan::kernel(kernel_source!("scan_apply"), &[]),
+            kernels: Kernels::plan(adapter.variant),
             params: Plan::upload("scan params", vec![params]),
-            partials: Plan::buffer("scan partials", runs as usize),
-            groups: Plan::value(runs.div_ceil(32)),
+            partials: Plan::buffer("scan partials", partials),
+            groups: Plan::value(groups),
         })
     }
 
@@ -67,9 +94,17 @@ impl Scan {
         sums: &Buffer<u32>,
         totals: &Buffer<u32>,
     ) {
-        let (params, partials) = (&self.params, &self.partials);
-        recorder.dispatch(&self.reduce, &[params, counts, values, partials], self.groups);
-        recorder.dispatch(&self.scan, &[params, partials, totals], 1);
-        recorder.dispatch(&self.apply, &[params, counts, values, partials, sums], self.groups);
+        let (params, partials, groups) = (&self.params, &self.partials, self.groups);
+        match &self.kernels {
+            Kernels::Software { reduce, scan, apply } => {
+                recorder.dispatch(reduce, &[params, counts, values, partials], groups);
+                recorder.dispatch(scan, &[params, partials, totals], 1);
+                recorder.dispatch(apply, &[params, counts, values, partials, sums], groups);
+            }
+            Kernels::Hardware { reduce, apply } => {
+                recorder.dispatch(reduce, &[params, counts, values, partials], groups);
+                recorder.dispatch(apply, &[params, values, partials, sums, totals], groups);
+            }
+        }
     }
 }

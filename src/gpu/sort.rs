@@ -1,13 +1,20 @@
 //! Stable least-significant-digit radix sort on the device.
 //!
-//! Each invocation owns a contiguous run of keys and its own counters, so the sort needs no subgroups, no atomics and
-//! no barriers, and its result is the same on every adapter. The count is read on the device.
+//! What always holds: the result is the same on every adapter, no order depends on atomics or subgroups, no workgroup waits for
+//! another, and the count is read on the device. Each pass counts digits, turns the counts into places, and moves the pairs.
+//!
+//! Software adapters give each invocation a contiguous run of keys and its own counters, without barriers (`sort_count`,
+//! `sort_offsets`, `sort_scatter`). Hardware gives each workgroup a block of keys, which it sorts in its own memory, so that
+//! neighbouring lanes read and write neighbouring places (`radix_histogram`, `radix_scan`, `radix_scatter`).
 
 use std::sync::Arc;
 
 use bytemuck::Zeroable;
 
-use super::{AdapterReport, Buffer, Device, GpuError, Kernel, Plan, Recorder, kernel_source, planned};
+use super::{
+    AdapterReport, Binding, Buffer, Device, GpuError, Kernel, KernelSource, KernelVariant, Plan, Recorder,
+    kernel_source, planned,
+};
 
 #[repr(C)]
 #[derive(Debug, Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]
@@ -48,20 +55,59 @@ struct DigitPasses {
     params: Vec<(Buffer<SortParams>, u32)>,
 }
 
+/// Keys of a block of the hardware's kernels: 256 lanes of eight.
+const BLOCK: usize = 2048;
+
+/// How a variant's kernels divide the keys.
+#[derive(Debug, Clone, Copy)]
+struct Division {
+    /// Parts with counters of their own: runs of one invocation each, or blocks.
+    parts: u32,
+    /// Parts of a workgroup.
+    parts_a_group: u32,
+    /// Digits whose counters one workgroup turns into places.
+    digits_a_group: u32,
+    /// Bits of the widest pass.
+    widest: u32,
+}
+
 /// A sort of up to `capacity` pairs by the low bits of their keys.
 #[derive(Debug)]
 pub struct RadixSort {
     count: Arc<Kernel>,
     offsets: Arc<Kernel>,
     scatter: Arc<Kernel>,
+    division: Division,
     /// One for each number of bits so far; the last is in use.
     passes: Vec<DigitPasses>,
     counters: Buffer<u32>,
     totals: Buffer<u32>,
     /// The parameters that all passes share.
     sort: SortParams,
-    /// Bits of the widest pass.
-    widest: u32,
+}
+
+impl Division {
+    /// Software adapters have few lanes and pay for each dispatch: wide digits and few runs, the fastest of 32 to 1024 runs by
+    /// 4 to 11 bits on lavapipe.
+    fn of(adapter: &AdapterReport, capacity: usize) -> Self {
+        let blocks = u32::try_from(capacity.div_ceil(BLOCK)).unwrap_or(u32::MAX).max(1);
+        adapter.variant.choose(
+            Self { parts: 128, parts_a_group: 16, digits_a_group: 16, widest: 8 },
+            Self { parts: blocks, parts_a_group: 1, digits_a_group: 1, widest: 8 },
+        )
+    }
+
+    /// The kernels that count, turn counts into places, and move.
+    fn kernels(adapter: &AdapterReport) -> [KernelSource; 3] {
+        adapter.variant.choose(
+            [kernel_source!("sort_count"), kernel_source!("sort_offsets"), kernel_source!("sort_scatter")],
+            [
+                kernel_source!("radix_histogram"),
+                kernel_source!("radix_scan"),
+                kernel_source!("radix_scatter"),
+            ],
+        )
+    }
 }
 
 impl SortParams {
@@ -84,12 +130,6 @@ fn widths(bits: u32, widest: u32) -> Vec<u32> {
 }
 
 impl RadixSort {
-    /// Runs, and the bits of the widest pass. Software adapters have few lanes and pay for each dispatch: wide digits and few
-    /// runs, the fastest of 32 to 1024 runs by 4 to 11 bits on lavapipe. Hardware needs many runs.
-    fn runs_and_widest(adapter: &AdapterReport) -> (u32, u32) {
-        adapter.variant.choose((128, 8), (1024, 4))
-    }
-
     /// Plans a sort by the lowest `bits` bits (at most 32); element `count_index` of the count buffer holds the number of pairs.
     #[must_use]
     pub fn plan(
@@ -98,31 +138,32 @@ impl RadixSort {
         bits: u32,
         count_index: u32,
     ) -> Plan<'static, Self> {
-        let (runs, widest) = Self::runs_and_widest(adapter);
+        let division = Division::of(adapter, capacity);
         let sort = SortParams {
-            runs,
+            runs: division.parts,
             count_index,
             capacity: u32::try_from(capacity).unwrap_or(u32::MAX),
             shift: 0,
             digits: 0,
             unused: [0; 3],
         };
+        let [count, offsets, scatter] = Division::kernels(adapter);
         planned!(Self {
-            count: Plan::kernel(kernel_source!("sort_count"), &[]),
-            offsets: Plan::kernel(kernel_source!("sort_offsets"), &[]),
-            scatter: Plan::kernel(kernel_source!("sort_scatter"), &[]),
-            passes: Plan::all([sort.passes(widest, bits)]),
-            counters: Plan::buffer("sort counters", (runs as usize) << widest),
-            totals: Plan::buffer("sort totals", 1 << widest),
+            count: Plan::kernel(count, &[]),
+            offsets: Plan::kernel(offsets, &[]),
+            scatter: Plan::kernel(scatter, &[]),
+            division: Plan::value(division),
+            passes: Plan::all([sort.passes(division.widest, bits)]),
+            counters: Plan::buffer("sort counters", (division.parts as usize) << division.widest),
+            totals: Plan::buffer("sort totals", 1 << division.widest),
             sort: Plan::value(sort),
-            widest: Plan::value(widest),
         })
     }
 
     /// Bytes on the device that [`RadixSort::set_bits`] adds for a new number of bits.
     #[must_use]
     pub fn pass_bytes(adapter: &AdapterReport, bits: u32) -> u64 {
-        SortParams::zeroed().passes(Self::runs_and_widest(adapter).1, bits).bytes()
+        SortParams::zeroed().passes(Division::of(adapter, 0).widest, bits).bytes()
     }
 
     /// Sorts by another number of bits from the next recording on.
@@ -132,7 +173,7 @@ impl RadixSort {
     pub fn set_bits(&mut self, device: &Device, bits: u32) -> Result<(), GpuError> {
         let passes = match self.passes.iter().position(|passes| passes.bits == bits) {
             Some(known) => self.passes.remove(known),
-            None => self.sort.passes(self.widest, bits).make(device)?,
+            None => self.sort.passes(self.division.widest, bits).make(device)?,
         };
         self.passes.push(passes);
         Ok(())
@@ -154,11 +195,16 @@ impl RadixSort {
         spare: &'p Pairs,
     ) -> &'p Pairs {
         let (mut from, mut to) = (pairs, spare);
-        let groups = self.sort.runs.div_ceil(16);
+        let Division { parts, parts_a_group, digits_a_group, .. } = self.division;
+        let groups = parts.div_ceil(parts_a_group);
         for (params, digits) in self.passes.last().into_iter().flat_map(|passes| &passes.params) {
             let (params, counters, totals) = (params, &self.counters, &self.totals);
             recorder.dispatch(&self.count, &[params, counts, &from.keys, counters], groups);
-            recorder.dispatch(&self.offsets, &[params, counters, totals], digits.div_ceil(16));
+            let offsets: &[Binding<'_>] = match recorder.variant() {
+                KernelVariant::Software => &[params, counters, totals],
+                KernelVariant::Hardware => &[params, counts, counters, totals],
+            };
+            recorder.dispatch(&self.offsets, offsets, digits.div_ceil(digits_a_group));
             recorder.dispatch(
                 &self.scatter,
                 &[params, counts, totals, counters, &from.keys, &from.values, &to.keys, &to.values],

@@ -111,6 +111,69 @@ pub fn sort_scatter(
     sorted
 }
 
+/// Elements of a block of the hardware's kernels.
+pub const BLOCK: usize = 2048;
+
+/// The number of values, then the saturating sum of each block.
+#[must_use]
+pub fn scan_block_sums(values: &[u32]) -> Vec<u32> {
+    std::iter::once(values.len() as u32).chain(values.chunks(BLOCK).map(|block| scan(block).1)).collect()
+}
+
+/// The prefix sums of all values from the partial sums of [`scan_block_sums`], and the total.
+#[must_use]
+pub fn scan_blocks(values: &[u32], partials: &[u32]) -> (Vec<u32>, u32) {
+    let (starts, total) = scan(&partials[1..]);
+    let from = |(block, start): (&[u32], &u32)| {
+        scan(block).0.into_iter().map(|sum| sum.saturating_add(*start)).collect::<Vec<_>>()
+    };
+    (values.chunks(BLOCK).zip(&starts).flat_map(from).collect(), total)
+}
+
+/// How often each digit occurs in each block, `[digit][block]`; the digit of a key is `(key >> shift) % digits`.
+#[must_use]
+pub fn radix_histogram(keys: &[u32], shift: u32, digits: u32) -> Vec<u32> {
+    let blocks = keys.len().div_ceil(BLOCK);
+    let mut counters = vec![0; digits as usize * blocks];
+    for (block, keys) in keys.chunks(BLOCK).enumerate() {
+        for key in keys {
+            counters[((key >> shift) % digits) as usize * blocks + block] += 1;
+        }
+    }
+    counters
+}
+
+/// For each digit the exclusive prefix sums of its counters over the blocks, and its total.
+#[must_use]
+pub fn radix_scan(counters: &[u32], blocks: usize) -> (Vec<u32>, Vec<u32>) {
+    sort_offsets(counters, blocks)
+}
+
+/// One stable pass: each pair goes to the place of its digit and block, blocks and pairs in order.
+#[must_use]
+pub fn radix_scatter(
+    pairs: &[(u32, u32)],
+    shift: u32,
+    digits: u32,
+    counters: &[u32],
+    totals: &[u32],
+) -> Vec<(u32, u32)> {
+    let blocks = pairs.len().div_ceil(BLOCK);
+    let (bases, _) = scan(totals);
+    let mut sorted = vec![(0, 0); pairs.len()];
+    for (block, pairs) in pairs.chunks(BLOCK).enumerate() {
+        let mut next: Vec<usize> = (0..digits as usize)
+            .map(|digit| (bases[digit] + counters[digit * blocks + block]) as usize)
+            .collect();
+        for pair in pairs {
+            let place = &mut next[((pair.0 >> shift) % digits) as usize];
+            sorted[*place] = *pair;
+            *place += 1;
+        }
+    }
+    sorted
+}
+
 /// Which of `count` parts of the work a workgroup does on a software adapter (`shaders/shared/spread.wgsl`): parts in order, dealt out
 /// alternately four times.
 #[must_use]
@@ -167,7 +230,7 @@ mod tests {
         }
     }
 
-    const SIZES: [usize; 8] = [0, 1, 2, 31, 32, 33, 257, 4000];
+    const SIZES: [usize; 10] = [0, 1, 2, 31, 32, 33, 257, 2048, 2049, 5000];
 
     #[test]
     fn the_steps_of_a_scan_make_a_scan() {
@@ -177,6 +240,11 @@ mod tests {
                 let values: Vec<u32> = (0..count).map(|_| rng.random_range(0..largest)).collect();
                 let (starts, total) = scan_partials(&scan_reduce(&values, runs));
                 assert_eq!((scan_apply(&values, &starts), total), scan(&values), "{count} in {runs} runs");
+                assert_eq!(
+                    scan_blocks(&values, &scan_block_sums(&values)),
+                    scan(&values),
+                    "{count} in blocks"
+                );
             }
         }
     }
@@ -198,6 +266,28 @@ mod tests {
                 }
                 assert_eq!(pairs, expected, "{count} in {runs} runs");
             }
+        }
+    }
+
+    #[test]
+    fn the_steps_of_a_sort_of_blocks_make_a_stable_sort() {
+        let mut rng = Pcg64::seed_from_u64(3);
+        for count in SIZES {
+            let mut pairs: Vec<(u32, u32)> =
+                (0..count as u32).map(|i| (rng.random_range(0..500), i)).collect();
+            let expected = radix_sort(&pairs, 9);
+            for (shift, digits) in [(0, 32), (5, 16)] {
+                let keys: Vec<u32> = pairs.iter().map(|(key, _)| *key).collect();
+                let counters = radix_histogram(&keys, shift, digits);
+                let blocks = count.div_ceil(BLOCK);
+                let (offsets, totals) = if blocks == 0 {
+                    (vec![], vec![0; digits as usize])
+                } else {
+                    radix_scan(&counters, blocks)
+                };
+                pairs = radix_scatter(&pairs, shift, digits, &offsets, &totals);
+            }
+            assert_eq!(pairs, expected, "{count}");
         }
     }
 }

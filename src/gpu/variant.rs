@@ -18,8 +18,8 @@ impl KernelVariant {
         self.choose(&[("SOFTWARE", 1)], &[])
     }
 
-    /// One value for each variant.
-    pub(crate) fn choose<T>(self, software: T, hardware: T) -> T {
+    /// The value of this variant.
+    pub fn choose<T>(self, software: T, hardware: T) -> T {
         match self {
             Self::Software => software,
             Self::Hardware => hardware,

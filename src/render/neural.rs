@@ -6,13 +6,15 @@
 
 use std::sync::Arc;
 
+use bytemuck::Zeroable;
+
 use super::{
     Activation, AnchorGradients, Columns, DenseLayers, DeviceAnchors, GaussianGradients, Gaussians,
     InputGradient, Rasterizer, RenderError, Result, WeightGradient, projection::CenteredPose,
 };
 use crate::{
     domain::{Camera, SceneScale},
-    gpu::{AdapterReport, Buffer, Device, Kernel, Plan, Recorder, kernel_source, planned},
+    gpu::{AdapterReport, Buffer, Device, Kernel, KernelVariant, Plan, Recorder, kernel_source, planned},
     model::{NetworkLayout, Shape},
 };
 
@@ -30,14 +32,10 @@ struct ViewUniform {
     counts: [u32; 4],
 }
 
-fn view_plan() -> Plan<'static, Buffer<ViewUniform>> {
-    Plan::buffer("view of anchors", 1)
-}
-
 #[derive(Debug)]
 struct Kernels {
     anchor_visible: Arc<Kernel>,
-    compact_anchors: Arc<Kernel>,
+    compaction: Compaction,
     network_input: Arc<Kernel>,
     opaque_anchors: Arc<Kernel>,
     opaque_input: Arc<Kernel>,
@@ -57,7 +55,7 @@ impl Kernels {
         let input = kernel_source!("network_input");
         Ok(Self {
             anchor_visible: device.kernel(kernel_source!("anchor_visible"), &defs)?,
-            compact_anchors: device.kernel(kernel_source!("compact_anchors"), &[])?,
+            compaction: Compaction::new(device)?,
             network_input: device.kernel(input, &defs)?,
             opaque_anchors: device.kernel(kernel_source!("opaque_anchors"), &defs)?,
             opaque_input: device.kernel(input, &opaque)?,
@@ -72,12 +70,57 @@ impl Kernels {
     }
 }
 
+/// Anchors of a block of the hardware's kernels: 256 lanes of eight.
+const BLOCK: usize = 2048;
+
+/// The kernels that list the visible anchors.
+#[derive(Debug)]
+enum Compaction {
+    /// One workgroup.
+    Software(Arc<Kernel>),
+    /// A workgroup for each block: counts of the blocks, then the list.
+    Hardware { count: Arc<Kernel>, list: Arc<Kernel> },
+}
+
+impl Compaction {
+    fn new(device: &Device) -> Result<Self> {
+        Ok(match device.variant() {
+            KernelVariant::Software => Self::Software(device.kernel(kernel_source!("compact_anchors"), &[])?),
+            KernelVariant::Hardware => Self::Hardware {
+                count: device.kernel(kernel_source!("count_visible_anchors"), &[])?,
+                list: device.kernel(kernel_source!("list_visible_anchors"), &[])?,
+            },
+        })
+    }
+
+    /// Records listing the anchors whose flags are set, of the first `anchors`, into `list` behind their number.
+    fn record(
+        &self,
+        recorder: &mut Recorder<'_>,
+        view: &Buffer<ViewUniform>,
+        on: &Activations,
+        list: &Buffer<u32>,
+        anchors: usize,
+    ) {
+        match self {
+            Self::Software(compact) => recorder.dispatch(compact, &[view, &on.visible, list], 1),
+            Self::Hardware { count, list: fill } => {
+                let blocks = anchors.div_ceil(BLOCK).max(1) as u32;
+                recorder.dispatch(count, &[view, &on.visible, &on.block_counts], blocks);
+                recorder.dispatch(fill, &[view, &on.visible, &on.block_counts, list], blocks);
+            }
+        }
+    }
+}
+
 /// Activations of the forward pass, column-major with `capacity` columns: one for each visible anchor while opacities are
 /// evaluated, and then for each that makes a Gaussian.
 #[derive(Debug)]
 struct Activations {
     /// Flags of the visible anchors, then of the opaque ones among them.
     visible: Buffer<u32>,
+    /// Set flags of each block of [`BLOCK`] anchors.
+    block_counts: Buffer<u32>,
     list: Buffer<u32>,
     /// The networks' columns, of the opaque anchors: how many, the place of each in the list, and its anchor.
     columns: Buffer<u32>,
@@ -93,6 +136,7 @@ impl Activations {
     fn plan(layout: &NetworkLayout, capacity: usize) -> Plan<'static, Self> {
         planned!(Self {
             visible: Plan::buffer("visible anchors", capacity),
+            block_counts: Plan::buffer("visible anchors of blocks", capacity.div_ceil(BLOCK)),
             list: Plan::buffer("visible list", capacity + 1),
             columns: Plan::buffer("columns of opaque anchors", 2 * capacity + 1),
             input: Plan::buffer("network input", layout.hidden.inputs * capacity),
@@ -135,7 +179,8 @@ pub struct NeuralGaussians {
     device: Arc<Device>,
     layout: NetworkLayout,
     kernels: Kernels,
-    view: Buffer<ViewUniform>,
+    /// Of the last forward pass.
+    view: ViewUniform,
     capacity: usize,
     forward: Activations,
     backward: Option<Backward>,
@@ -173,7 +218,7 @@ impl NeuralGaussians {
         let layout = NetworkLayout::new(shape);
         Ok(Self {
             kernels: Kernels::new(&device, shape, subgroups)?,
-            view: view_plan().make(&device)?,
+            view: ViewUniform::zeroed(),
             capacity: 0,
             forward: Activations::plan(&layout, 0).make(&device)?,
             backward: None,
@@ -227,8 +272,7 @@ impl NeuralGaussians {
         let capacity = Self::capacity(anchors);
         // Buffer sizes are rounded up, and each layer has a uniform.
         const ROUNDING: u64 = 1024;
-        view_plan().bytes()
-            + Activations::plan(&layout, capacity).bytes()
+        Activations::plan(&layout, capacity).bytes()
             + Backward::plan(&layout, capacity).bytes()
             + DenseLayers::bytes(layout.layers())
             + ROUNDING
@@ -291,7 +335,8 @@ impl NeuralGaussians {
         self.opacities(recorder, anchors, camera, volume_weight)?;
         self.holds_outputs = true;
         let (kernels, on) = (&self.kernels, &self.forward);
-        let (view, dense, networks) = (&self.view, &kernels.dense, &anchors.networks);
+        let view = &recorder.uniform(&[self.view])?;
+        let (dense, networks) = (&kernels.dense, &anchors.networks);
         let groups = anchors.count.div_ceil(64) as u32;
         // The opacities alone say which anchors need the rest.
         recorder.dispatch(
@@ -299,7 +344,7 @@ impl NeuralGaussians {
             &[view, &on.list, &on.outputs, &anchors.masks, &on.visible, &on.gaussians.geometry, &on.alive],
             groups,
         );
-        recorder.dispatch(&kernels.compact_anchors, &[view, &on.visible, &on.columns], 1);
+        kernels.compaction.record(recorder, view, on, &on.columns, anchors.count);
         recorder.dispatch(
             &kernels.opaque_input,
             &[view, &on.list, &anchors.positions, &anchors.rows, &on.input, &on.columns],
@@ -345,9 +390,10 @@ impl NeuralGaussians {
     ) -> Result<()> {
         self.opacities(recorder, anchors, camera, 0.0)?;
         let on = &self.forward;
+        let view = recorder.uniform(&[self.view])?;
         recorder.dispatch(
             &self.kernels.visible_offsets,
-            &[&self.view, &on.list, &anchors.positions, &anchors.rows, &on.outputs, &anchors.masks, shown],
+            &[&view, &on.list, &anchors.positions, &anchors.rows, &on.outputs, &anchors.masks, shown],
             anchors.count.div_ceil(64) as u32,
         );
         Ok(())
@@ -363,18 +409,18 @@ impl NeuralGaussians {
     ) -> Result<()> {
         self.fit(anchors.count)?;
         self.holds_outputs = false;
-        recorder.write(&self.view, &[self.view_uniform(anchors.count, camera, volume_weight)]);
+        self.view = self.view_uniform(anchors.count, camera, volume_weight);
         // Offsets are small beside a far anchor's position, which the kernel therefore takes relative to the camera.
         self.forward.gaussians.origin = CenteredPose::of(camera).eye;
         let (kernels, on) = (&self.kernels, &self.forward);
-        let view = &self.view;
+        let view = &recorder.uniform(&[self.view])?;
         let groups = anchors.count.div_ceil(64) as u32;
         recorder.dispatch(
             &kernels.anchor_visible,
             &[view, &anchors.positions, &anchors.rows, &on.visible],
             groups,
         );
-        recorder.dispatch(&kernels.compact_anchors, &[view, &on.visible, &on.list], 1);
+        kernels.compaction.record(recorder, view, on, &on.list, anchors.count);
         recorder.dispatch(
             &kernels.network_input,
             &[view, &on.list, &anchors.positions, &anchors.rows, &on.input],
@@ -408,7 +454,7 @@ impl NeuralGaussians {
         self.prepare_backward()?;
         let back = self.backward.as_ref().ok_or(RenderError::OutOfStep)?;
         let (kernels, on) = (&self.kernels, &self.forward);
-        let view = &self.view;
+        let view = &recorder.uniform(&[self.view])?;
         let groups = anchors.count.div_ceil(64) as u32;
         recorder.clear(&out.rows);
         recorder.dispatch(
@@ -459,10 +505,11 @@ impl NeuralGaussians {
         overflow_flag: &Buffer<u32>,
     ) -> Result<()> {
         let back = self.backward.as_ref().ok_or(RenderError::OutOfStep)?;
+        let view = recorder.uniform(&[self.view])?;
         recorder.dispatch(
             &self.kernels.anchor_statistics,
             &[
-                &self.view,
+                &view,
                 &self.forward.list,
                 &self.forward.gaussians.geometry,
                 &back.d_gaussians.means2d,

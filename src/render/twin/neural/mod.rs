@@ -14,7 +14,8 @@ pub use dense::{
 };
 pub use spawn::{count_gaussians, spawn_gaussians, spawn_gradient, visible_offsets, volume};
 pub use visibility::{
-    anchor_statistics, anchor_visible, compact_anchors, feature_gradient, network_input, opaque_anchors,
+    anchor_statistics, anchor_visible, compact_anchors, count_visible_anchors, feature_gradient,
+    list_visible_anchors, network_input, opaque_anchors,
 };
 
 use super::{Gaussian, GaussianGradient, Projection};

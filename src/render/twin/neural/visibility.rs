@@ -3,7 +3,12 @@
 use glam::{DVec2, DVec3};
 
 use super::{Gaussian, LIMIT, Projection};
-use crate::{domain::SceneScale, model::Shape, render::twin::SplatGradient};
+use crate::{
+    domain::SceneScale,
+    gpu::twin::{BLOCK, scan},
+    model::Shape,
+    render::twin::SplatGradient,
+};
 
 /// Whether the three-sigma box of the anchor, projected as an axis-aligned Gaussian of its offset scale, touches the
 /// image (METHOD.md §2.3).
@@ -33,6 +38,24 @@ pub fn anchor_visible(projection: &Projection, position: DVec3, shape: Shape, ro
 #[must_use]
 pub fn compact_anchors(visible: &[bool]) -> Vec<u32> {
     (0..).zip(visible).filter(|(_, visible)| **visible).map(|(anchor, _)| anchor).collect()
+}
+
+/// How many anchors of each block are visible.
+#[must_use]
+pub fn count_visible_anchors(visible: &[bool]) -> Vec<u32> {
+    visible.chunks(BLOCK).map(|block| block.iter().filter(|flag| **flag).count() as u32).collect()
+}
+
+/// The visible anchors in ascending order, from the counts of their blocks.
+#[must_use]
+pub fn list_visible_anchors(visible: &[bool], block_counts: &[u32]) -> Vec<u32> {
+    let (starts, total) = scan(block_counts);
+    let mut list = vec![0; total as usize];
+    for (block, (flags, start)) in visible.chunks(BLOCK).zip(starts).enumerate() {
+        let set = (0..).zip(flags).filter(|(_, flag)| **flag).map(|(i, _)| (block * BLOCK) as u32 + i);
+        list.iter_mut().skip(start as usize).zip(set).for_each(|(entry, anchor)| *entry = anchor);
+    }
+    list
 }
 
 /// Whether a visible anchor makes a Gaussian, by the opacities' outputs: some offset is opaque and its mask on.

@@ -5,7 +5,7 @@ use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 use tcgs::{
     domain::{Camera, Intrinsics, Lattice, Pose, SceneScale},
-    gpu::kernel_source,
+    gpu::{kernel_source, twin::BLOCK},
     model::{AnchorRows, NetworkLayout},
     render::{
         AnchorGradients, DeviceAnchors, NeuralGaussians, Projection, RasterSettings, RenderError,
@@ -160,28 +160,55 @@ fn the_device_shows_the_anchors_that_the_twin_shows() {
     }
 }
 
+/// Lists the set flags by the kernels of software adapters or of hardware, and compares with their twins; nothing else is written.
+fn assert_listed(visible: &[bool], what: &str) {
+    let device = gpu();
+    let count = visible.len();
+    let flags: Vec<u32> = visible.iter().map(|v| u32::from(*v)).collect();
+    let mut view = [[0xdead_beef_u32; 4]; 7];
+    view[6] = [count as u32, count as u32, 0, 0];
+    let view = device.upload("view", &view).expect("view");
+    let flags = device.upload("flags", &flags).expect("flags");
+    let blocks = count.div_ceil(BLOCK).max(1);
+    let block_counts = device.upload("junk", &vec![0xdead_beef_u32; blocks + 1]).expect("counts");
+    let [software, hardware] =
+        [(); 2].map(|()| device.upload("junk", &vec![0xdead_beef_u32; count + 2]).expect("list"));
+    let kernel = |source| device.kernel(source, &[]).expect("the kernel");
+    let mut recorder = device.recorder("lists");
+    recorder.dispatch(&kernel(kernel_source!("compact_anchors")), &[&view, &flags, &software], 1);
+    let groups = blocks as u32;
+    recorder.dispatch(
+        &kernel(kernel_source!("count_visible_anchors")),
+        &[&view, &flags, &block_counts],
+        groups,
+    );
+    recorder.dispatch(
+        &kernel(kernel_source!("list_visible_anchors")),
+        &[&view, &flags, &block_counts, &hardware],
+        groups,
+    );
+    recorder.submit().expect("submitted");
+    let expected = twin::compact_anchors(visible);
+    let counts = twin::count_visible_anchors(visible);
+    let found = device.read(&block_counts).expect("counts");
+    assert_eq!(found[..counts.len()], counts, "{what}");
+    assert_eq!(found[blocks], 0xdead_beef, "nothing beyond the blocks: {what}");
+    assert!(twin::list_visible_anchors(visible, &counts) == expected, "{what}");
+    for list in [software, hardware] {
+        let found = device.read(&list).expect("list");
+        assert_eq!(found[0] as usize, expected.len(), "{what}");
+        assert!(found[1..=expected.len()] == expected, "{what}");
+        assert!(found[expected.len() + 1..].iter().all(|v| *v == 0xdead_beef), "nothing beyond: {what}");
+    }
+}
+
 #[test]
 fn the_list_is_ascending_complete_and_counted() {
-    let device = gpu();
-    let kernel = device.kernel(kernel_source!("compact_anchors"), &[]).expect("the kernel");
     let mut rng = Pcg64::seed_from_u64(3);
-    for count in [0, 1, 2, 255, 256, 257, 1025, 70_001] {
+    for count in [0, 1, 2, 255, 256, 257, 1025, 2047, 2048, 2049, 70_001, 600_000] {
         for share in [0.0, 0.01, 0.5, 1.0] {
             let visible: Vec<bool> = (0..count).map(|_| rng.random::<f64>() < share).collect();
-            let flags: Vec<u32> = visible.iter().map(|v| u32::from(*v)).collect();
-            let mut view = [[0xdead_beef_u32; 4]; 7];
-            view[6] = [count as u32, count as u32, 0, 0];
-            let view = device.upload("view", &view).expect("view");
-            let flags = device.upload("flags", &flags).expect("flags");
-            let list = device.upload("junk", &vec![0xdead_beef_u32; count + 2]).expect("list");
-            let mut recorder = device.recorder("compact");
-            recorder.dispatch(&kernel, &[&view, &flags, &list], 1);
-            recorder.submit().expect("submitted");
-            let found = device.read(&list).expect("list");
-            let expected = twin::compact_anchors(&visible);
-            assert_eq!(found[0] as usize, expected.len());
-            assert!(found[1..=expected.len()] == expected, "{count} anchors, {share} of them visible");
-            assert!(found[expected.len() + 1..].iter().all(|v| *v == 0xdead_beef), "nothing beyond the list");
+            assert_listed(&visible, &format!("{count} anchors, {share} of them visible"));
         }
     }
 }
