@@ -1,18 +1,25 @@
-// Gradients of the visible Gaussians from those of their projections. Other rows are not written.
+// Gradients of the visible Gaussians from those of their projections. On software adapters other rows are not written; elsewhere they
+// become zero, and lanes take neighbouring rows, since reads and writes by depth would be scattered.
 
 #import tcgs::view::{VISIBLE, View, to_camera}
 #import tcgs::geometry::{quat_row, scale_row}
 #import tcgs::spread::part_of
 
 @group(0) @binding(0) var<uniform> view: View;
+#ifdef SOFTWARE
 @group(0) @binding(1) var<storage, read> counters: array<u32>;
-@group(0) @binding(2) var<storage, read> ids: array<u32>;
-@group(0) @binding(3) var<storage, read> geometry: array<vec4<f32>>;
-@group(0) @binding(4) var<storage, read> tiles: array<u32>;
-@group(0) @binding(5) var<storage, read> v_splats: array<vec4<f32>>;
-@group(0) @binding(6) var<storage, read_write> v_geometry: array<vec4<f32>>;
-@group(0) @binding(7) var<storage, read_write> v_colors: array<vec4<f32>>;
-@group(0) @binding(8) var<storage, read_write> v_means_image: array<vec4<f32>>;
+#else
+@group(0) @binding(1) var<storage, read> count: array<u32>;
+#endif
+@group(0) @binding(2) var<storage, read> geometry: array<vec4<f32>>;
+@group(0) @binding(3) var<storage, read> tiles: array<u32>;
+@group(0) @binding(4) var<storage, read> v_splats: array<vec4<f32>>;
+@group(0) @binding(5) var<storage, read_write> v_geometry: array<vec4<f32>>;
+@group(0) @binding(6) var<storage, read_write> v_colors: array<vec4<f32>>;
+@group(0) @binding(7) var<storage, read_write> v_means_image: array<vec4<f32>>;
+#ifdef SOFTWARE
+@group(0) @binding(8) var<storage, read> ids: array<u32>;
+#endif
 
 fn project_one_backward(i: u32) {
     let opacity = geometry[i].w;
@@ -116,8 +123,23 @@ fn project_backward(
     @builtin(local_invocation_index) local: u32,
 ) {
     let begin = part_of(group, groups) * 64u + local;
+#ifdef SOFTWARE
     let total = min(counters[VISIBLE], view.gaussian_capacity);
     for (var place = begin; place < total; place += groups.x * 64u) {
         project_one_backward(ids[place]);
     }
+#else
+    let total = min(count[0], view.gaussian_capacity);
+    for (var i = begin; i < total; i += groups.x * 64u) {
+        if tiles[i] > 0u {
+            project_one_backward(i);
+        } else {
+            v_geometry[i] = vec4<f32>(0.0);
+            v_geometry[scale_row(view.gaussian_capacity, i)] = vec4<f32>(0.0);
+            v_geometry[quat_row(view.gaussian_capacity, i)] = vec4<f32>(0.0);
+            v_colors[i] = vec4<f32>(0.0);
+            v_means_image[i] = vec4<f32>(0.0);
+        }
+    }
+#endif
 }

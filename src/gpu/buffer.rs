@@ -1,16 +1,65 @@
 //! Typed device buffers whose bytes are counted while they live.
 
-use std::{marker::PhantomData, sync::Arc};
+use std::{marker::PhantomData, num::NonZeroU64, sync::Arc};
 
-use super::{Device, GpuError, ledger::Reservation};
+use super::{
+    Device, GpuError,
+    bind_groups::{BoundPart, Identity},
+    constants::ConstantPart,
+    ledger::Reservation,
+};
 
-/// A device buffer without its element type.
+/// A device buffer without its element type, or a part of one.
 #[derive(Debug)]
 pub struct RawBuffer {
     pub(super) inner: wgpu::Buffer,
+    /// Where the part begins, and its bytes; none for the whole buffer.
+    part: Option<(u64, NonZeroU64)>,
+    identity: Arc<Identity>,
     // Ends with the handle. The driver frees the memory once no recorded command uses it; destroying it explicitly would break
     // those commands.
-    _reservation: Reservation,
+    _reservation: Option<Reservation>,
+}
+
+impl RawBuffer {
+    pub(super) fn new(
+        device: &Device,
+        label: &str,
+        size: u64,
+        usage: wgpu::BufferUsages,
+    ) -> Result<Self, GpuError> {
+        let reservation = device.ledger.reserve(label, size)?;
+        let descriptor =
+            wgpu::BufferDescriptor { label: Some(label), size, usage, mapped_at_creation: false };
+        Ok(Self {
+            inner: device.inner.create_buffer(&descriptor),
+            part: None,
+            identity: Arc::new(Identity::new(&device.bind_groups)),
+            _reservation: Some(reservation),
+        })
+    }
+
+    /// As a kernel binds it.
+    pub(super) fn bound(&self) -> BoundPart<'_> {
+        let (start, size) = self.part.map_or((0, 0), |(start, size)| (start, size.get()));
+        let resource = match self.part {
+            None => self.inner.as_entire_binding(),
+            Some((offset, size)) => wgpu::BindingResource::Buffer(wgpu::BufferBinding {
+                buffer: &self.inner,
+                offset,
+                size: Some(size),
+            }),
+        };
+        BoundPart { key: (self.identity.id, start, size), resource, identity: &self.identity }
+    }
+}
+
+impl From<ConstantPart> for RawBuffer {
+    fn from(constant: ConstantPart) -> Self {
+        let ConstantPart { buffer, start, size, identity } = constant;
+        let part = NonZeroU64::new(size).map(|size| (start, size));
+        Self { inner: buffer, part, identity, _reservation: None }
+    }
 }
 
 /// A device buffer of `len` elements; usable as storage and as source and target of copies.
@@ -46,6 +95,12 @@ impl<T: bytemuck::Pod> Buffer<T> {
         has_room.then(|| Self { inner: Arc::clone(&self.inner), len, kind: PhantomData })
     }
 
+    /// `len` elements in a buffer that something else keeps.
+    pub(super) fn from_raw(inner: RawBuffer, len: usize) -> Self {
+        Self { inner: Arc::new(inner), len, kind: PhantomData }
+    }
+
+    /// The whole buffer, for copies; constants are not copied.
     pub(super) fn raw(&self) -> &wgpu::Buffer {
         &self.inner.inner
     }
@@ -75,17 +130,11 @@ impl Device {
         if bytes > limit {
             return Err(GpuError::BufferTooLarge { label: label.to_owned(), bytes, limit });
         }
-        let reservation = self.ledger.reserve(label, bytes)?;
-        let inner = self.inner.create_buffer(&wgpu::BufferDescriptor {
-            label: Some(label),
-            size: bytes,
-            usage: wgpu::BufferUsages::STORAGE
-                | wgpu::BufferUsages::COPY_SRC
-                | wgpu::BufferUsages::COPY_DST
-                | wgpu::BufferUsages::UNIFORM,
-            mapped_at_creation: false,
-        });
-        let inner = Arc::new(RawBuffer { inner, _reservation: reservation });
+        let usage = wgpu::BufferUsages::STORAGE
+            | wgpu::BufferUsages::COPY_SRC
+            | wgpu::BufferUsages::COPY_DST
+            | wgpu::BufferUsages::UNIFORM;
+        let inner = Arc::new(RawBuffer::new(self, label, bytes, usage)?);
         Ok(Buffer { inner, len, kind: PhantomData })
     }
 

@@ -10,7 +10,8 @@ use std::{
 use naga_oil::compose::Composer;
 
 use super::{
-    AdapterReport, GpuError, Kernel, KernelSource, KernelVariant, Profile, Subgroups, kernel, ledger::Ledger,
+    AdapterReport, GpuError, Kernel, KernelSource, KernelVariant, Profile, Subgroups,
+    bind_groups::BindGroups, constants::Constants, kernel, ledger::Ledger,
 };
 
 /// The first fault of each kind since the device was opened.
@@ -40,6 +41,8 @@ pub struct Device {
     faults: Arc<Faults>,
     kernels: Mutex<Kernels>,
     pub(super) ledger: Arc<Ledger>,
+    pub(super) bind_groups: Arc<BindGroups>,
+    pub(super) constants: Constants,
     pub(super) profile: Option<Profile>,
 }
 
@@ -61,6 +64,8 @@ impl Device {
             ..wgpu::DeviceDescriptor::default()
         }))
         .map_err(|fault| GpuError::Open { adapter: report.name.clone(), fault: fault.to_string() })?;
+        let (ledger, bind_groups) = (Arc::new(Ledger::new()), Arc::default());
+        let constants = Constants::new(&inner, &ledger, &bind_groups);
         let faults = Arc::new(Faults::default());
         let on_lost = Arc::clone(&faults);
         inner.set_device_lost_callback(move |reason, message| {
@@ -87,7 +92,9 @@ impl Device {
             report,
             faults,
             kernels: Mutex::new(Kernels { composer: kernel::composer()?, compiled: HashMap::new() }),
-            ledger: Arc::new(Ledger::new()),
+            constants,
+            ledger,
+            bind_groups,
             profile: None,
         })
     }
@@ -182,7 +189,9 @@ impl Device {
             return Ok(Arc::clone(kernel));
         }
         let defs = [defs, self.variant().defs()].concat();
-        let kernel = Arc::new(Kernel::compile(&self.inner, &mut kernels.composer, source, &defs)?);
+        let id = self.bind_groups.next_id();
+        let kernel =
+            Arc::new(Kernel::compile(&self.inner, &mut kernels.composer, source, &defs, self.variant(), id)?);
         kernels.compiled.insert(key, Arc::clone(&kernel));
         Ok(kernel)
     }

@@ -6,7 +6,9 @@
 //! buffer is counted in bytes, and none is made that would take them beyond [`Device::budget_bytes`].
 
 mod adapter;
+mod bind_groups;
 mod buffer;
+mod constants;
 mod device;
 mod driver_cache;
 mod error;
@@ -15,6 +17,7 @@ mod ledger;
 mod open;
 mod plan;
 mod profile;
+mod readback;
 mod recorder;
 mod scan;
 mod settings;
@@ -29,6 +32,7 @@ mod variant;
 
 pub use adapter::{AdapterChoice, AdapterReport, report};
 pub use buffer::{Buffer, RawBuffer, buffer_bytes};
+pub use constants::CONSTANT_BYTES;
 pub use device::Device;
 pub use driver_cache::driver_cache;
 pub use error::GpuError;
@@ -36,6 +40,7 @@ pub use kernel::{Kernel, KernelSource, kernel_source};
 pub use plan::Plan;
 pub(crate) use plan::planned;
 pub use profile::{Profile, RecordingProfile};
+pub use readback::Readback;
 pub use recorder::{Binding, Recorder};
 pub use scan::{Scan, ScanSlots};
 pub use settings::DeviceSettings;

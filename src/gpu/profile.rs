@@ -12,6 +12,9 @@ use std::{
 /// Stage of what is recorded before the first [`Recorder::stage`](super::Recorder::stage).
 const NO_STAGE: &str = "-";
 
+/// Stage of the host's time since the end of the recording before.
+const BETWEEN: &str = "between recordings";
+
 /// Times of all recordings with one label.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct RecordingProfile {
@@ -21,7 +24,7 @@ pub struct RecordingProfile {
     pub submit: Duration,
     /// Host time of waiting for the device.
     pub wait: Duration,
-    /// Host time of recording each stage.
+    /// Host time of recording each stage, and of what the host did before the recording.
     pub stages: BTreeMap<&'static str, Duration>,
     /// Dispatches of each kernel in a stage and their time on the device; empty on an adapter without timestamps.
     pub kernels: BTreeMap<(&'static str, &'static str), (u64, Duration)>,
@@ -31,6 +34,8 @@ pub struct RecordingProfile {
 #[derive(Debug, Default)]
 pub struct Profile {
     recordings: Mutex<BTreeMap<String, RecordingProfile>>,
+    /// When the last recording was done on the device.
+    last_end: Mutex<Option<Instant>>,
 }
 
 impl Profile {
@@ -38,6 +43,12 @@ impl Profile {
     #[must_use]
     pub fn recordings(&self) -> BTreeMap<String, RecordingProfile> {
         self.recordings.lock().unwrap_or_else(PoisonError::into_inner).clone()
+    }
+
+    /// Begins a recording.
+    pub(super) fn begin(&self, label: &str) -> RecordingTimes {
+        let last_end = *self.last_end.lock().unwrap_or_else(PoisonError::into_inner);
+        RecordingTimes::begin(label, last_end.map(|end| end.elapsed()))
     }
 
     /// Adds a recording, with the kernel and time of each dispatch.
@@ -62,6 +73,7 @@ impl Profile {
             *count += 1;
             *sum += time;
         }
+        *self.last_end.lock().unwrap_or_else(PoisonError::into_inner) = Some(Instant::now());
     }
 }
 
@@ -77,12 +89,12 @@ pub(super) struct RecordingTimes {
 }
 
 impl RecordingTimes {
-    pub(super) fn begin(label: &str) -> Self {
+    fn begin(label: &str, before: Option<Duration>) -> Self {
         Self {
             label: label.to_owned(),
             stage: NO_STAGE,
             since: Instant::now(),
-            stages: Vec::new(),
+            stages: before.map(|before| (BETWEEN, before)).into_iter().collect(),
             dispatch_stages: Vec::new(),
         }
     }
@@ -140,7 +152,7 @@ mod tests {
         let times = &recordings["doubling"];
         assert_eq!(times.recordings, 2);
         let stages: Vec<_> = times.stages.keys().copied().collect();
-        assert_eq!(stages, ["-", "once", "twice more"]);
+        assert_eq!(stages, ["-", "between recordings", "once", "twice more"]);
         let counts: Vec<_> = times.kernels.iter().map(|(key, (count, _))| (*key, *count)).collect();
         assert_eq!(counts, [(("once", "double"), 2), (("twice more", "double"), 4)]);
     }

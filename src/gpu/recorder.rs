@@ -1,9 +1,10 @@
 //! Recording of dispatches and copies into one submission.
 
-use std::{sync::Arc, time::Instant};
+use std::{cell::RefCell, sync::Arc, time::Instant};
 
 use super::{
     Buffer, Device, GpuError, Kernel, KernelSource, KernelVariant, RawBuffer,
+    constants::RecordedConstants,
     ledger::Reservation,
     profile::RecordingTimes,
     timing::{KernelTime, Timing},
@@ -11,6 +12,9 @@ use super::{
 
 /// Largest workgroup count of one dimension that every adapter takes.
 const MAX_GROUPS_PER_DIMENSION: u32 = 65_535;
+
+/// Bytes of a write that travels with the constants; larger ones have a staging buffer of their own.
+const MAX_SMALL_WRITE: u64 = 1 << 16;
 
 /// A buffer as a kernel binds it; the n-th binding of a dispatch is `@group(0) @binding(n)`.
 pub type Binding<'a> = &'a dyn AsRef<RawBuffer>;
@@ -27,19 +31,31 @@ pub struct Recorder<'a> {
     times: Option<RecordingTimes>,
     /// Staging memory of recorded writes.
     staged: Vec<Reservation>,
+    constants: RefCell<RecordedConstants>,
     /// The first fault of recording; submitting reports it.
     fault: Option<GpuError>,
 }
 
 impl Device {
+    fn unprofiled_recorder(&self) -> Recorder<'_> {
+        Recorder {
+            device: self,
+            encoder: self.inner.create_command_encoder(&wgpu::CommandEncoderDescriptor::default()),
+            open: None,
+            timing: None,
+            times: None,
+            staged: Vec::new(),
+            constants: RefCell::default(),
+            fault: None,
+        }
+    }
+
     /// Begins recording commands.
     #[must_use]
     pub fn recorder(&self, label: &str) -> Recorder<'_> {
-        let encoder =
-            self.inner.create_command_encoder(&wgpu::CommandEncoderDescriptor { label: Some(label) });
-        let times = self.profile.as_ref().map(|_| RecordingTimes::begin(label));
+        let times = self.profile.as_ref().map(|profile| profile.begin(label));
         let timing = times.as_ref().and_then(|_| self.timing());
-        Recorder { device: self, encoder, open: None, timing, times, staged: Vec::new(), fault: None }
+        Recorder { timing, times, ..self.unprofiled_recorder() }
     }
 
     /// Begins recording commands whose dispatches are timed on the device; see [`Recorder::submit_timed`].
@@ -53,7 +69,7 @@ impl Device {
     }
 }
 
-impl Recorder<'_> {
+impl<'d> Recorder<'d> {
     /// Names the stage that what follows belongs to in [`Device::profile`].
     pub fn stage(&mut self, name: &'static str) {
         if let Some(times) = &mut self.times {
@@ -119,6 +135,10 @@ impl Recorder<'_> {
         if bytes.is_empty() {
             return;
         }
+        if bytes.len() as u64 <= MAX_SMALL_WRITE {
+            self.write_small(buffer, bytes);
+            return;
+        }
         let size = (bytes.len() as u64).next_multiple_of(wgpu::COPY_BUFFER_ALIGNMENT);
         match self.device.ledger.reserve("recorded write", size) {
             Ok(reservation) => self.staged.push(reservation),
@@ -143,12 +163,29 @@ impl Recorder<'_> {
         self.outside().copy_buffer_to_buffer(&staging, 0, buffer.raw(), 0, staging.size());
     }
 
-    /// A small buffer with constant content for one dispatch.
+    /// A write that travels with the constants.
+    fn write_small<T: bytemuck::Pod>(&mut self, buffer: &Buffer<T>, bytes: &[u8]) {
+        let size = (bytes.len() as u64).next_multiple_of(wgpu::COPY_BUFFER_ALIGNMENT);
+        match self.constants.get_mut().add(&self.device.constants, bytes) {
+            Ok(Some(part)) => {
+                self.outside().copy_buffer_to_buffer(&part.buffer, part.start, buffer.raw(), 0, size);
+            }
+            Ok(None) => {}
+            Err(fault) => {
+                self.fault.get_or_insert(fault);
+            }
+        }
+    }
+
+    /// Constants for dispatches of this recording, and of no other.
     ///
     /// # Errors
     /// As [`Device::buffer`].
     pub fn uniform<T: bytemuck::Pod>(&self, values: &[T]) -> Result<Buffer<T>, GpuError> {
-        self.device.upload("uniform", values)
+        match self.constants.borrow_mut().add(&self.device.constants, bytemuck::cast_slice(values))? {
+            Some(part) => Ok(Buffer::from_raw(part.into(), values.len())),
+            None => self.device.upload("constants of one dispatch", values),
+        }
     }
 
     /// Zeroes a whole buffer.
@@ -156,12 +193,34 @@ impl Recorder<'_> {
         self.outside().clear_buffer(buffer.raw(), 0, None);
     }
 
+    /// Sends what was recorded so far to the device and goes on, so that no submission takes so long that a driver resets the device.
+    /// Does nothing while dispatches are timed.
+    ///
+    /// # Errors
+    /// As [`Recorder::submit`].
+    pub fn flush(&mut self) -> Result<(), GpuError> {
+        if self.timing.is_some() {
+            return Ok(());
+        }
+        let next = Recorder { times: self.times.take(), ..self.device.unprofiled_recorder() };
+        std::mem::replace(self, next).send().map(drop)
+    }
+
     /// Sends what was recorded to the device. A profiled device also waits for it.
     ///
     /// # Errors
     /// As [`Device::check`], and [`GpuError::OverBudget`] if there was no room for a recorded write.
     pub fn submit(self) -> Result<(), GpuError> {
-        if self.times.is_some() { self.submit_timed().map(drop) } else { self.send() }
+        self.submit_indexed().map(drop)
+    }
+
+    /// As [`Recorder::submit`]; the index can be waited for.
+    pub(super) fn submit_indexed(self) -> Result<wgpu::SubmissionIndex, GpuError> {
+        if self.times.is_some() { self.send_timed().map(|(index, _)| index) } else { self.send() }
+    }
+
+    pub(super) fn device(&self) -> &'d Device {
+        self.device
     }
 
     /// Sends what was recorded, waits for it, and returns how long each dispatch took, in order: none if the adapter has no
@@ -169,7 +228,11 @@ impl Recorder<'_> {
     ///
     /// # Errors
     /// As [`Recorder::submit`].
-    pub fn submit_timed(mut self) -> Result<Vec<KernelTime>, GpuError> {
+    pub fn submit_timed(self) -> Result<Vec<KernelTime>, GpuError> {
+        self.send_timed().map(|(_, kernels)| kernels)
+    }
+
+    fn send_timed(mut self) -> Result<(wgpu::SubmissionIndex, Vec<KernelTime>), GpuError> {
         let device = self.device;
         let mut times = self.times.take();
         if let Some(times) = &mut times {
@@ -178,7 +241,7 @@ impl Recorder<'_> {
         let began = Instant::now();
         let timing = self.timing.take();
         let ticks = timing.as_ref().map(|timing| timing.resolve(device, self.outside())).transpose()?;
-        self.send()?;
+        let index = self.send()?;
         let sent = Instant::now();
         let kernels = match timing.zip(ticks) {
             Some((timing, ticks)) => timing.read(device, &ticks)?,
@@ -192,21 +255,23 @@ impl Recorder<'_> {
                 kernels.iter().map(|kernel| (kernel.name, kernel.time)),
             );
         }
-        Ok(kernels)
+        Ok((index, kernels))
     }
 
-    fn send(mut self) -> Result<(), GpuError> {
+    fn send(mut self) -> Result<wgpu::SubmissionIndex, GpuError> {
         self.open = None;
         if let Some(fault) = self.fault.take() {
             return Err(fault);
         }
         self.device.check()?;
-        self.device.queue.submit([self.encoder.finish()]);
-        self.device.check()
+        let device = self.device;
+        let Self { constants, encoder, .. } = self;
+        let index = device.constants.submit(&device.queue, &constants.into_inner(), encoder.finish());
+        device.check().map(|()| index)
     }
 
     /// The encoder with no pass open.
-    fn outside(&mut self) -> &mut wgpu::CommandEncoder {
+    pub(super) fn outside(&mut self) -> &mut wgpu::CommandEncoder {
         self.open = None;
         &mut self.encoder
     }
@@ -227,19 +292,8 @@ impl Recorder<'_> {
     }
 
     fn bind(&self, kernel: &Kernel, bindings: &[Binding<'_>]) -> wgpu::BindGroup {
-        let entries: Vec<_> = bindings
-            .iter()
-            .zip(0..)
-            .map(|(buffer, binding)| {
-                let buffer: &RawBuffer = (*buffer).as_ref();
-                wgpu::BindGroupEntry { binding, resource: buffer.inner.as_entire_binding() }
-            })
-            .collect();
-        self.device.inner.create_bind_group(&wgpu::BindGroupDescriptor {
-            label: Some(kernel.name),
-            layout: &kernel.layout,
-            entries: &entries,
-        })
+        let parts: Vec<_> = bindings.iter().map(|buffer| (*buffer).as_ref().bound()).collect();
+        self.device.bind_groups.get(&self.device.inner, kernel, &parts)
     }
 }
 

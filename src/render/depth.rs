@@ -24,7 +24,6 @@ struct DepthUniform {
 #[derive(Debug)]
 pub struct DepthShader {
     kernel: Arc<Kernel>,
-    uniform: Buffer<DepthUniform>,
     colors: Buffer<[f32; 4]>,
 }
 
@@ -33,7 +32,6 @@ impl DepthShader {
     pub fn new(device: &Device) -> Result<Self> {
         Ok(Self {
             kernel: device.kernel(kernel_source!("shade_depth"), &[])?,
-            uniform: device.buffer("view of depths", 1)?,
             colors: device.buffer("depths as colours", 0)?,
         })
     }
@@ -53,8 +51,8 @@ impl DepthShader {
         let pose = CenteredPose::of(camera).relative_to(gaussians.origin);
         let count = u32::try_from(gaussians.capacity).unwrap_or(u32::MAX);
         let uniform = DepthUniform { forward: pose.rows[2], eye: pose.eye_and(0.0), count, unused: [0; 3] };
-        recorder.write(&self.uniform, &[uniform]);
-        let buffers: [Binding<'_>; 3] = [&self.uniform, &gaussians.geometry, &self.colors];
+        let uniform = recorder.uniform(&[uniform])?;
+        let buffers: [Binding<'_>; 3] = [&uniform, &gaussians.geometry, &self.colors];
         recorder.dispatch(&self.kernel, &buffers, count.div_ceil(64));
         Ok(Gaussians { colors: self.colors.clone(), ..gaussians.clone() })
     }

@@ -10,7 +10,6 @@ use crate::gpu::{Binding, Buffer, Device, Kernel, PendingRead, Recorder, Staging
 #[derive(Debug)]
 pub struct PackedImage {
     kernel: Arc<Kernel>,
-    count: Buffer<u32>,
     /// A word a pixel, then the counters.
     words: Buffer<u32>,
     counters: usize,
@@ -22,7 +21,6 @@ impl PackedImage {
     pub fn new(device: &Device) -> Result<Self> {
         Ok(Self {
             kernel: device.kernel(kernel_source!("pack_image"), &[])?,
-            count: device.buffer("pixels to pack", 1)?,
             words: device.buffer("packed image", 0)?,
             counters: 0,
             staging: Staging::default(),
@@ -43,8 +41,8 @@ impl PackedImage {
             self.words = device.buffer("packed image", pixels + self.counters)?;
         }
         let count = u32::try_from(pixels).unwrap_or(u32::MAX);
-        recorder.write(&self.count, &[count]);
-        let buffers: [Binding<'_>; 3] = [&self.count, image, &self.words];
+        let pixels_to_pack = recorder.uniform(&[count])?;
+        let buffers: [Binding<'_>; 3] = [&pixels_to_pack, image, &self.words];
         recorder.dispatch(&self.kernel, &buffers, count.div_ceil(64));
         recorder.copy(counters, 0, &self.words, pixels, self.counters);
         Ok(())

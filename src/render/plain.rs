@@ -5,6 +5,8 @@
 
 use std::sync::Arc;
 
+use bytemuck::Zeroable;
+
 use super::{GaussianGradients, Gaussians, RenderError, Result, projection::CenteredPose};
 use crate::{
     domain::Camera,
@@ -74,10 +76,6 @@ impl DeviceGaussians {
     }
 }
 
-fn view_plan() -> Plan<'static, Buffer<ViewUniform>> {
-    Plan::buffer("view of gaussians", 1)
-}
-
 /// The kernels for one degree.
 #[derive(Debug)]
 struct Kernels {
@@ -102,7 +100,8 @@ pub struct PlainGaussians {
     degree: u32,
     kernels: Kernels,
     gaussian_statistics: Arc<Kernel>,
-    view: Buffer<ViewUniform>,
+    /// Of the last forward pass.
+    view: ViewUniform,
     gaussians: Gaussians,
     gradients: Option<GaussianGradients>,
     near: f32,
@@ -115,7 +114,7 @@ impl PlainGaussians {
             degree: 0,
             kernels: Kernels::new(&device, 0)?,
             gaussian_statistics: device.kernel(kernel_source!("gaussian_statistics"), &[("DEGREE", 0)])?,
-            view: view_plan().make(&device)?,
+            view: ViewUniform::zeroed(),
             gaussians: Gaussians::plan(0, 1).make(&device)?,
             gradients: None,
             near,
@@ -134,7 +133,7 @@ impl PlainGaussians {
     /// Bytes on the device of a view of `count` Gaussians and of its gradients.
     #[must_use]
     pub fn bytes(count: usize) -> u64 {
-        view_plan().bytes() + Gaussians::plan(count, 1).bytes() + GaussianGradients::plan(count).bytes()
+        Gaussians::plan(count, 1).bytes() + GaussianGradients::plan(count).bytes()
     }
 
     /// Degree of spherical harmonics in use.
@@ -185,11 +184,12 @@ impl PlainGaussians {
             self.gaussians = Gaussians::plan(rows.count, 1).make(&self.device)?;
             self.device.write(&self.gaussians.count, &[rows.count as u32]);
         }
-        recorder.write(&self.view, &[self.view_uniform(rows.count, camera)]);
+        self.view = self.view_uniform(rows.count, camera);
+        let view = recorder.uniform(&[self.view])?;
         let out = &self.gaussians;
         recorder.dispatch(
             &self.kernels.shade_gaussians,
-            &[&self.view, &rows.base, &rows.bands, &out.geometry, &out.colors],
+            &[&view, &rows.base, &rows.bands, &out.geometry, &out.colors],
             groups(rows.count),
         );
         Ok(())
@@ -207,10 +207,11 @@ impl PlainGaussians {
     ) -> Result<()> {
         let d = self.gradients.as_ref().ok_or(RenderError::OutOfStep)?;
         let on = &self.gaussians;
+        let view = recorder.uniform(&[self.view])?;
         recorder.dispatch(
             &self.kernels.shade_gradient,
             &[
-                &self.view,
+                &view,
                 &rows.bands,
                 &on.geometry,
                 &on.colors,
@@ -236,9 +237,10 @@ impl PlainGaussians {
         overflow_flag: &Buffer<u32>,
     ) -> Result<()> {
         let d = self.gradients.as_ref().ok_or(RenderError::OutOfStep)?;
+        let view = recorder.uniform(&[self.view])?;
         recorder.dispatch(
             &self.gaussian_statistics,
-            &[&self.view, &d.means2d, statistics, overflow_flag],
+            &[&view, &d.means2d, statistics, overflow_flag],
             groups(self.gaussians.capacity),
         );
         Ok(())

@@ -1,6 +1,6 @@
 //! Buffers of the rasteriser: a row for each Gaussian, for each intersection with a tile, and for each pixel.
 
-use super::projection::{TILE, View};
+use super::projection::TILE;
 use crate::gpu::{AdapterReport, Buffer, Pairs, Plan, RadixSort, Scan, ScanSlots, planned};
 
 /// Elements of the counter buffer, as in `shaders/shared/view.wgsl`.
@@ -111,10 +111,6 @@ impl PerImage {
             ranges: Plan::resized("tile ranges", tiles as usize, old.map(|old| &old.ranges)),
         })
     }
-}
-
-pub(super) fn view_plan() -> Plan<'static, Buffer<View>> {
-    Plan::buffer("view", 1)
 }
 
 pub(super) fn counter_plan() -> Plan<'static, Buffer<u32>> {

@@ -16,14 +16,14 @@ use super::{
     projection::{Projection, TILE, View},
     raster_buffers::{
         COMPLETED, INTERSECTIONS, PerGaussian, PerImage, PerIntersection, REQUIRED, SLOT_FLOATS, SPLAT_ROWS,
-        VISIBLE, counter_plan, tile_bits, tiles, view_plan,
+        VISIBLE, counter_plan, tile_bits, tiles,
     },
 };
 use crate::{
     domain::Camera,
     gpu::{
-        AdapterReport, Binding, Buffer, Device, GpuError, Kernel, MIN_LANES, RadixSort, Recorder, Subgroups,
-        kernel_source, twin,
+        AdapterReport, Binding, Buffer, Device, GpuError, Kernel, KernelVariant, MIN_LANES, RadixSort,
+        Recorder, Subgroups, kernel_source, twin,
     },
 };
 
@@ -102,7 +102,8 @@ pub struct Rasterizer {
     device: Arc<Device>,
     settings: RasterSettings,
     kernels: Kernels,
-    view: Buffer<View>,
+    /// Of the last forward pass.
+    view: View,
     counters: Buffer<u32>,
     initial_capacity: Option<usize>,
     gaussians: PerGaussian,
@@ -130,7 +131,7 @@ impl Rasterizer {
         Ok(Self {
             settings,
             kernels,
-            view: view_plan().make(&device)?,
+            view: View::of_rows(0, 0),
             counters: counter_plan().make(&device)?,
             initial_capacity: None,
             gaussians: PerGaussian::plan(device.adapter(), 0).make(&device)?,
@@ -146,8 +147,7 @@ impl Rasterizer {
     #[must_use]
     pub fn bytes(adapter: &AdapterReport, gaussians: usize, intersections: usize, size: [u32; 2]) -> u64 {
         let tile_bits = tile_bits(tiles(size));
-        view_plan().bytes()
-            + counter_plan().bytes()
+        counter_plan().bytes()
             + PerGaussian::plan(adapter, gaussians).bytes()
             + PerIntersection::plan(adapter, intersections, tile_bits).bytes()
             + PerIntersection::gradient_plan(intersections).bytes()
@@ -188,11 +188,11 @@ impl Rasterizer {
         check_columns(gaussians)?;
         let projection = Projection::new(camera, &self.settings);
         self.fit(gaussians.capacity, &projection)?;
-        let view = View::new(&projection, background, gaussians, self.intersections.capacity);
-        recorder.write(&self.view, &[view]);
-        self.order(recorder, gaussians);
-        let slots = self.list(recorder);
-        self.blend(recorder);
+        self.view = View::new(&projection, background, gaussians, self.intersections.capacity);
+        let view = recorder.uniform(&[self.view])?;
+        self.order(recorder, &view, gaussians);
+        let slots = self.list(recorder, &view);
+        self.blend(recorder, &view);
         self.rendered = Some((*camera, slots));
         Ok(())
     }
@@ -288,9 +288,20 @@ impl Rasterizer {
     /// [`Rasterizer::reserve`] and record that pass and those after it again.
     pub fn take_forward_passes(&self) -> Result<ForwardPasses> {
         let counters = self.device.read(&self.counters)?;
+        self.reset_forward_passes();
+        Ok(self.forward_passes(&counters))
+    }
+
+    /// Forgets the forward passes so far, in order with what is submitted.
+    pub fn reset_forward_passes(&self) {
         self.device.write_at(&self.counters, REQUIRED, &[0_u32; COMPLETED + 1]);
+    }
+
+    /// The outcome of the forward passes since the last reset, from a copy of [`Rasterizer::overflow_flag`].
+    #[must_use]
+    pub fn forward_passes(&self, counters: &[u32]) -> ForwardPasses {
         let needed = counters[REQUIRED] as usize;
-        Ok(ForwardPasses { completed: counters[COMPLETED], required: (needed > 0).then_some(needed) })
+        ForwardPasses { completed: counters[COMPLETED], required: (needed > 0).then_some(needed) }
     }
 
     /// Records the gradients of a loss whose derivatives by the image (red, green, blue, alpha = 1 - transmittance) are
@@ -325,7 +336,8 @@ impl Rasterizer {
                 self.intersections.gradients.insert(buffer).clone()
             }
         };
-        let (kernels, view) = (&self.kernels, &self.view);
+        let kernels = &self.kernels;
+        let view = &recorder.uniform(&[self.view])?;
         let (own, lists, image) = (&self.gaussians, &self.intersections, &self.image);
         let by_slot = if slots_in_spare { &lists.by_tile.1 } else { &lists.by_tile.0 };
         recorder.dispatch(
@@ -351,26 +363,47 @@ impl Rasterizer {
             &[view, &self.counters, ids, &own.tiles, &own.first_slots, &slot_gradients, &own.v_splats],
             groups,
         );
-        recorder.dispatch(
-            &kernels.clear_culled,
-            &[view, &gaussians.count, &own.tiles, &out.geometry, &out.colors, &out.means2d],
-            groups,
-        );
-        recorder.dispatch(
-            &kernels.project_backward,
-            &[
-                view,
-                &self.counters,
-                ids,
-                &gaussians.geometry,
-                &own.tiles,
-                &own.v_splats,
-                &out.geometry,
-                &out.colors,
-                &out.means2d,
-            ],
-            groups,
-        );
+        let (geometry, colors, means2d) = (&out.geometry, &out.colors, &out.means2d);
+        match recorder.variant() {
+            KernelVariant::Software => {
+                recorder.dispatch(
+                    &kernels.clear_culled,
+                    &[view, &gaussians.count, &own.tiles, geometry, colors, means2d],
+                    groups,
+                );
+                recorder.dispatch(
+                    &kernels.project_backward,
+                    &[
+                        view,
+                        &self.counters,
+                        &gaussians.geometry,
+                        &own.tiles,
+                        &own.v_splats,
+                        geometry,
+                        colors,
+                        means2d,
+                        ids,
+                    ],
+                    groups,
+                );
+            }
+            KernelVariant::Hardware => {
+                recorder.dispatch(
+                    &kernels.project_backward,
+                    &[
+                        view,
+                        &gaussians.count,
+                        &gaussians.geometry,
+                        &own.tiles,
+                        &own.v_splats,
+                        geometry,
+                        colors,
+                        means2d,
+                    ],
+                    groups,
+                );
+            }
+        }
         Ok(())
     }
 
@@ -400,8 +433,8 @@ impl Rasterizer {
     }
 
     /// Records the projection and the ordering of the visible by depth, with the slots where each begins.
-    fn order(&self, recorder: &mut Recorder<'_>, gaussians: &Gaussians) {
-        let (kernels, view, own) = (&self.kernels, &self.view, &self.gaussians);
+    fn order(&self, recorder: &mut Recorder<'_>, view: &Buffer<View>, gaussians: &Gaussians) {
+        let (kernels, own) = (&self.kernels, &self.gaussians);
         let groups = self.groups(own.capacity);
         recorder.dispatch(
             &kernels.project,
@@ -450,7 +483,7 @@ impl Rasterizer {
     }
 
     /// Records the grouping by tile, and returns whether the second of the two pairs holds the slots by tile.
-    fn list(&self, recorder: &mut Recorder<'_>) -> bool {
+    fn list(&self, recorder: &mut Recorder<'_>, view: &Buffer<View>) -> bool {
         let lists = &self.intersections;
         let (pairs, spare) = &lists.by_tile;
         let sorted = lists.sort_tile.record(recorder, &self.counters, pairs, spare);
@@ -458,7 +491,7 @@ impl Rasterizer {
         recorder.dispatch(
             &self.kernels.tile_ranges,
             &[
-                &self.view,
+                view,
                 &self.counters,
                 &sorted.keys,
                 &sorted.values,
@@ -471,12 +504,12 @@ impl Rasterizer {
         std::ptr::eq(sorted, spare)
     }
 
-    fn blend(&self, recorder: &mut Recorder<'_>) {
+    fn blend(&self, recorder: &mut Recorder<'_>, view: &Buffer<View>) {
         let image = &self.image;
         recorder.dispatch(
             &self.kernels.raster_forward,
             &[
-                &self.view,
+                view,
                 &image.ranges,
                 &self.intersections.list,
                 &self.gaussians.splats,
