@@ -2,10 +2,8 @@
 // ReLU, or the gate of a ReLU (for the gradient with respect to a hidden layer). Column-major data; the weight of
 // (o, k) is parameters[weights + o * out_stride + k * in_stride].
 //
-// Reads dominate on a software adapter, eight lanes at a time. So an invocation computes 32 outputs of four columns, and with
-// subgroups each lane reads one weight and the lanes share them by broadcast. Each iteration takes two inputs, because every
-// assignment in a loop is masked. Sums are never indexed by a variable: that would keep them in memory, and for a layer of
-// few inputs reading them back costs as much as the sums.
+// An invocation computes eight outputs of one column: a scene of a few thousand anchors then still occupies a GPU. The workgroup
+// reads the weights once for all of its columns.
 
 struct Layer {
     // inputs, outputs, capacity, weights
@@ -18,7 +16,9 @@ struct Layer {
 
 const NONE: u32 = 0xffffffffu;
 const LANES: u32 = 64u;
-const TILE: u32 = 32u;
+const OUTPUTS: u32 = 8u;
+// Inputs whose weights the workgroup holds at a time, a multiple of four.
+const INPUTS: u32 = 64u;
 
 @group(0) @binding(0) var<uniform> layer: Layer;
 @group(0) @binding(1) var<storage, read> list: array<u32>;
@@ -27,160 +27,91 @@ const TILE: u32 = 32u;
 @group(0) @binding(4) var<storage, read> gate: array<f32>;
 @group(0) @binding(5) var<storage, read_write> results: array<f32>;
 
-// The weights of eight outputs.
-struct Eight {
-    low: vec4f,
-    high: vec4f,
-}
+// Of each input, the weights of eight outputs: zero beyond the last input.
+var<workgroup> weights: array<vec4f, 2u * INPUTS>;
 
 fn weight_at(output: u32, input: u32) -> f32 {
     let o = min(output, layer.shape.y - 1u);
     return parameters[layer.shape.w + o * layer.access.x + input * layer.access.y];
 }
 
-#ifdef SUBGROUPS
-fn weights_at(output: u32, input: u32, lane: u32) -> Eight {
-    let own = weight_at(output + (lane & 7u), input);
-    return Eight(
-        vec4f(
-            subgroupBroadcast(own, 0u),
-            subgroupBroadcast(own, 1u),
-            subgroupBroadcast(own, 2u),
-            subgroupBroadcast(own, 3u),
-        ),
-        vec4f(
-            subgroupBroadcast(own, 4u),
-            subgroupBroadcast(own, 5u),
-            subgroupBroadcast(own, 6u),
-            subgroupBroadcast(own, 7u),
-        ),
-    );
-}
-#else
-fn weights_at(output: u32, input: u32, lane: u32) -> Eight {
-    return Eight(
-        vec4f(
-            weight_at(output, input),
-            weight_at(output + 1u, input),
-            weight_at(output + 2u, input),
-            weight_at(output + 3u, input),
-        ),
-        vec4f(
-            weight_at(output + 4u, input),
-            weight_at(output + 5u, input),
-            weight_at(output + 6u, input),
-            weight_at(output + 7u, input),
-        ),
-    );
-}
-#endif
-
-// One matrix column an output.
-fn outer(values: vec4f, weights: vec4f) -> mat4x4f {
-    return mat4x4f(weights.x * values, weights.y * values, weights.z * values, weights.w * values);
+fn four_weights(output: u32, input: u32) -> vec4f {
+    let i = min(input, layer.shape.x - 1u);
+    let four = vec4f(weight_at(output, i), weight_at(output + 1u, i), weight_at(output + 2u, i), weight_at(output + 3u, i));
+    return select(vec4f(0.0), four, input < layer.shape.x);
 }
 
-fn values_at(columns: vec4u, input: u32) -> vec4f {
-    let at = (layer.rows.x + input) * layer.shape.z + columns;
-    return vec4f(source[at.x], source[at.y], source[at.z], source[at.w]);
+fn value_at(column: u32, input: u32) -> f32 {
+    return source[(layer.rows.x + min(input, layer.shape.x - 1u)) * layer.shape.z + column];
 }
 
-fn put(at: u32, value: f32, column: u32, count: u32) {
-    if column < count {
-        results[at] = value;
-    }
-    return;
-}
-
-fn finish(output: u32, columns: vec4u, count: u32, sums: vec4f) {
+fn finish(output: u32, column: u32, sum: f32) {
     if output < layer.shape.y {
         let capacity = layer.shape.z;
-        var values = sums;
+        var value = sum;
         if layer.access.z != NONE {
-            values += parameters[layer.access.z + output];
+            value += parameters[layer.access.z + output];
         }
         if layer.access.w == 1u {
-            values = max(values, vec4f(0.0));
+            value = max(value, 0.0);
         }
-        if layer.access.w == 2u {
-            let at = (layer.rows.z + output) * capacity + min(columns, vec4u(capacity - 1u));
-            values = select(vec4f(0.0), values, vec4f(gate[at.x], gate[at.y], gate[at.z], gate[at.w]) > vec4f(0.0));
+        if layer.access.w == 2u && !(gate[(layer.rows.z + output) * capacity + column] > 0.0) {
+            value = 0.0;
         }
-        let at = (layer.rows.y + output) * capacity + columns;
-        put(at.x, values.x, columns.x, count);
-        put(at.y, values.y, columns.y, count);
-        put(at.z, values.z, columns.z, count);
-        put(at.w, values.w, columns.w, count);
+        results[(layer.rows.y + output) * capacity + column] = value;
     }
-    return;
 }
 
-fn finish_four(output: u32, columns: vec4u, count: u32, sums: mat4x4f) {
-    finish(output, columns, count, sums[0]);
-    finish(output + 1u, columns, count, sums[1]);
-    finish(output + 2u, columns, count, sums[2]);
-    finish(output + 3u, columns, count, sums[3]);
+fn finish_four(output: u32, column: u32, sums: vec4f) {
+    finish(output, column, sums.x);
+    finish(output + 1u, column, sums.y);
+    finish(output + 2u, column, sums.z);
+    finish(output + 3u, column, sums.w);
 }
 
 @compute @workgroup_size(LANES)
-fn dense(
-    @builtin(workgroup_id) group: vec3u,
-    @builtin(local_invocation_index) local: u32,
-#ifdef SUBGROUPS
-    @builtin(subgroup_invocation_id) lane: u32,
-#endif
-) {
-#ifndef SUBGROUPS
-    let lane = 0u;
-#endif
-    let tiles = (layer.shape.y + TILE - 1u) / TILE;
+fn dense(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) local: u32) {
+    let tiles = (layer.shape.y + OUTPUTS - 1u) / OUTPUTS;
     let block = group.x + group.y * 65535u;
     let strip = block / tiles;
-    let first = (block - strip * tiles) * TILE;
+    let first = (block - strip * tiles) * OUTPUTS;
     let count = list[0];
     // Uniform: either all invocations of a workgroup return here or none.
-    if strip * 4u * LANES >= count {
+    if strip * LANES >= count {
         return;
     }
-    let columns = strip * 4u * LANES + local + vec4u(0u, LANES, 2u * LANES, 3u * LANES);
-    let read = min(columns, vec4u(count - 1u));
+    let column = strip * LANES + local;
+    let read = min(column, count - 1u);
     let inputs = layer.shape.x;
-    var s0 = mat4x4f();
-    var s1 = mat4x4f();
-    var s2 = mat4x4f();
-    var s3 = mat4x4f();
-    var s4 = mat4x4f();
-    var s5 = mat4x4f();
-    var s6 = mat4x4f();
-    var s7 = mat4x4f();
-    for (var k = 0u; k < inputs; k += 2u) {
-        // An odd last input is paired with itself, with weight zero.
-        let next = min(k + 1u, inputs - 1u);
-        let x = values_at(read, k);
-        let y = select(vec4f(0.0), values_at(read, next), next > k);
-        let x0 = weights_at(first, k, lane);
-        let x1 = weights_at(first + 8u, k, lane);
-        let x2 = weights_at(first + 16u, k, lane);
-        let x3 = weights_at(first + 24u, k, lane);
-        let y0 = weights_at(first, next, lane);
-        let y1 = weights_at(first + 8u, next, lane);
-        let y2 = weights_at(first + 16u, next, lane);
-        let y3 = weights_at(first + 24u, next, lane);
-        s0 += outer(x, x0.low) + outer(y, y0.low);
-        s1 += outer(x, x0.high) + outer(y, y0.high);
-        s2 += outer(x, x1.low) + outer(y, y1.low);
-        s3 += outer(x, x1.high) + outer(y, y1.high);
-        s4 += outer(x, x2.low) + outer(y, y2.low);
-        s5 += outer(x, x2.high) + outer(y, y2.high);
-        s6 += outer(x, x3.low) + outer(y, y3.low);
-        s7 += outer(x, x3.high) + outer(y, y3.high);
+    var low = vec4f(0.0);
+    var high = vec4f(0.0);
+    for (var base = 0u; base < inputs; base += INPUTS) {
+        workgroupBarrier();
+        for (var i = local; i < 2u * INPUTS; i += LANES) {
+            weights[i] = four_weights(first + 4u * (i & 1u), base + i / 2u);
+        }
+        workgroupBarrier();
+        let here = min(INPUTS, inputs - base);
+        // Weights beyond the last input are zero.
+        for (var k = 0u; k < here; k += 4u) {
+            let x = vec4f(
+                value_at(read, base + k),
+                value_at(read, base + k + 1u),
+                value_at(read, base + k + 2u),
+                value_at(read, base + k + 3u),
+            );
+            low += x.x * weights[2u * k];
+            high += x.x * weights[2u * k + 1u];
+            low += x.y * weights[2u * k + 2u];
+            high += x.y * weights[2u * k + 3u];
+            low += x.z * weights[2u * k + 4u];
+            high += x.z * weights[2u * k + 5u];
+            low += x.w * weights[2u * k + 6u];
+            high += x.w * weights[2u * k + 7u];
+        }
     }
-    finish_four(first, columns, count, s0);
-    finish_four(first + 4u, columns, count, s1);
-    finish_four(first + 8u, columns, count, s2);
-    finish_four(first + 12u, columns, count, s3);
-    finish_four(first + 16u, columns, count, s4);
-    finish_four(first + 20u, columns, count, s5);
-    finish_four(first + 24u, columns, count, s6);
-    finish_four(first + 28u, columns, count, s7);
+    if column < count {
+        finish_four(first, column, low);
+        finish_four(first + 4u, column, high);
+    }
 }

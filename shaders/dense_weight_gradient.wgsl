@@ -6,10 +6,12 @@
 // inputs' values once, two a lane, and share them, since reads dominate on a software adapter. Where a subgroup has more
 // lanes, every further eight process other anchors of the run.
 
+#import tcgs::runs::run_length
+
 struct Layer {
     // inputs, outputs, capacity, weights
     shape: vec4u,
-    // out_stride, in_stride, bias, columns a run
+    // out_stride, in_stride, bias, unused
     access: vec4u,
     // first row in the input, first row in the output gradient, parameters in all, unused
     rows: vec4u,
@@ -144,8 +146,13 @@ fn dense_weight_gradient(@builtin(workgroup_id) group: vec3u, @builtin(local_inv
     let k = (block % input_tiles) * INPUTS;
     let first = ((block / input_tiles) % output_tiles) * OUTPUTS;
     let run = block / (input_tiles * output_tiles);
-    let begin = run * layer.access.w;
-    let end = min(begin + layer.access.w, list[0]);
+    let length = run_length(list[0]);
+    let begin = run * length;
+    let end = min(begin + length, list[0]);
+    // Uniform: either all invocations of a workgroup return here or none.
+    if begin >= end {
+        return;
+    }
     let base = run * layer.rows.z;
     let o = first + (lane & 7u);
 

@@ -1,7 +1,9 @@
-// Adds the runs' partial sums of every parameter in run order.
+// Adds the runs' partial sums of every parameter in a fixed order: every fourth run, then the four sums.
+
+#import tcgs::runs::run_length
 
 struct Shape {
-    // parameters, columns a run, unused, unused
+    // parameters, unused
     shape: vec4u,
 }
 
@@ -13,13 +15,21 @@ struct Shape {
 @compute @workgroup_size(64)
 fn sum_partials(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) local: u32) {
     let parameter = (group.x + group.y * 65535u) * 64u + local;
-    if parameter >= shape.shape.x {
+    let stride = shape.shape.x;
+    if parameter >= stride {
         return;
     }
-    let runs = (list[0] + shape.shape.y - 1u) / shape.shape.y;
-    var sum = 0.0;
-    for (var run = 0u; run < runs; run++) {
-        sum += partials[run * shape.shape.x + parameter];
+    let length = run_length(list[0]);
+    let runs = (list[0] + length - 1u) / length;
+    var sum = vec4f(0.0);
+    var run = 0u;
+    // Four reads at a time, since each waits for memory.
+    for (; run + 4u <= runs; run += 4u) {
+        let i = run * stride + parameter;
+        sum += vec4f(partials[i], partials[i + stride], partials[i + 2u * stride], partials[i + 3u * stride]);
     }
-    sums[parameter] = sum;
+    for (; run < runs; run++) {
+        sum.x += partials[run * stride + parameter];
+    }
+    sums[parameter] = (sum.x + sum.y) + (sum.z + sum.w);
 }

@@ -15,7 +15,11 @@ use crate::{
 };
 
 /// Outputs and columns that a workgroup of `shaders/dense.wgsl` computes.
-const TILE: [usize; 2] = [32, 256];
+const TILE: [usize; 2] = [8, 64];
+
+/// As in `shaders/shared/runs.wgsl`.
+const RUNS: usize = 128;
+const MIN_RUN: usize = 128;
 
 /// Inputs and outputs of the weights whose gradients a workgroup of `shaders/dense_weight_gradient.wgsl` computes.
 const GRADIENT_TILE: [usize; 2] = [16, 32];
@@ -70,10 +74,9 @@ impl DenseLayers {
         layers: impl IntoIterator<Item = LayerSpec>,
         parameters: usize,
     ) -> Plan<'static, Buffer<f32>> {
-        let runs = capacity.div_ceil(GRADIENT_RUN).max(1);
-        let a_run =
-            layers.into_iter().map(|layer| SoftwareLayers::partials(&layer)).sum::<usize>().max(parameters);
-        Plan::buffer(label, runs * a_run)
+        let software = layers.into_iter().map(|layer| SoftwareLayers::partials(&layer)).sum::<usize>();
+        let partials = software * capacity.div_ceil(GRADIENT_RUN).max(1);
+        Plan::buffer(label, partials.max(parameters * max_runs(capacity)))
     }
 
     /// Records reading the parameters of all layers. Layers are evaluated and differentiated with them until the next call.
@@ -159,13 +162,9 @@ impl HardwareLayers {
         // Eight lanes share their reads; the gradient's workgroup is one subgroup.
         let subgroups = subgroups.filter(|size| *size >= MIN_LANES);
         let mut lanes = vec![("GRADIENT_LANES", subgroups.unwrap_or(64))];
-        let mut dense = Vec::new();
-        if let Some(size) = subgroups {
-            lanes.push(("SUBGROUPS", size));
-            dense.push(("SUBGROUPS", size));
-        }
+        lanes.extend(subgroups.map(|size| ("SUBGROUPS", size)));
         Ok(Self {
-            dense: device.kernel(kernel_source!("dense"), &dense)?,
+            dense: device.kernel(kernel_source!("dense"), &[])?,
             dense_weight_gradient: device.kernel(kernel_source!("dense_weight_gradient"), &lanes)?,
             sum_partials: device.kernel(kernel_source!("sum_partials"), &[])?,
         })
@@ -223,11 +222,11 @@ impl HardwareLayers {
     ) -> Result<()> {
         let uniform = recorder.uniform(&[
             [layer.inputs as u32, layer.outputs as u32, columns.capacity as u32, layer.weights as u32],
-            [1, layer.outputs as u32, layer.bias as u32, GRADIENT_RUN as u32],
+            [1, layer.outputs as u32, layer.bias as u32, 0],
             [layer.input_row as u32, layer.output_row as u32, out.parameters as u32, 0],
         ])?;
         let tiles = layer.inputs.div_ceil(GRADIENT_TILE[0]) * layer.outputs.div_ceil(GRADIENT_TILE[1]);
-        let runs = columns.capacity.div_ceil(GRADIENT_RUN);
+        let runs = max_runs(columns.capacity);
         let bindings: [Binding<'_>; 5] = [&uniform, columns.list, input, d_output, out.partials];
         recorder.dispatch(&self.dense_weight_gradient, &bindings, (tiles * runs) as u32);
         Ok(())
@@ -239,7 +238,7 @@ impl HardwareLayers {
         columns: Columns<'_>,
         WeightGradient { parameters, partials, sums }: WeightGradient<'_>,
     ) -> Result<()> {
-        let shape = recorder.uniform(&[[parameters as u32, GRADIENT_RUN as u32, 0, 0]])?;
+        let shape = recorder.uniform(&[[parameters as u32, 0, 0, 0]])?;
         recorder.dispatch(
             &self.sum_partials,
             &[&shape, columns.list, partials, sums],
@@ -247,6 +246,11 @@ impl HardwareLayers {
         );
         Ok(())
     }
+}
+
+/// Most runs of up to `capacity` columns.
+fn max_runs(capacity: usize) -> usize {
+    capacity.div_ceil(MIN_RUN).clamp(1, RUNS)
 }
 
 fn groups(columns: Columns<'_>, outputs: usize) -> u32 {
