@@ -102,7 +102,8 @@ mod tests {
     }
 
     fn decoded(file: &[u8]) -> image::RgbImage {
-        image::load_from_memory_with_format(file, image::ImageFormat::Jpeg).expect("decodes").to_rgb8()
+        let file = std::io::Cursor::new(file);
+        image::ImageReader::with_format(file, image::ImageFormat::Jpeg).decode().expect("decodes").to_rgb8()
     }
 
     #[test]

@@ -254,12 +254,14 @@ mod tests {
     fn an_encoded_rate_counts_at_least_three_pictures_and_ends_at_an_error() {
         let image = || Image::new(8, 8, 3, vec![7; 192]).expect("an image");
         let mut made = 0;
-        let mut views = std::iter::repeat_with(|| {
-            made += 1;
-            Ok(image())
-        });
-        assert!(encoded_rate(Duration::ZERO, &mut views).expect("measures") > 0.0);
-        drop(views);
+        let rate = encoded_rate(
+            Duration::ZERO,
+            &mut std::iter::repeat_with(|| {
+                made += 1;
+                Ok(image())
+            }),
+        );
+        assert!(rate.expect("measures") > 0.0);
         assert_eq!(made, 3);
         let failing = RenderError::Scene("a fault".to_owned());
         let mut views = [Ok(image()), Err(failing)].into_iter();

@@ -56,7 +56,7 @@ fn run(options: &TrainOptions) -> Result<JobOutput, JobError> {
 static FREE: LazyLock<JobOutput> = LazyLock::new(|| run(&options()).expect("a file"));
 
 /// The smallest target size that can be reached.
-static SMALLEST: LazyLock<u64> = LazyLock::new(|| refused(100).smallest_bytes.expect("stated"));
+static SMALLEST: LazyLock<u64> = LazyLock::new(|| refused(1000).smallest_bytes.expect("stated"));
 
 /// So much of what a file of the scene can do without.
 fn share(percent: u64) -> u64 {
@@ -121,7 +121,7 @@ fn a_promise_that_is_kept_anyway_changes_nothing_but_what_the_file_says_of_it() 
 
 #[test]
 fn a_promise_that_cannot_be_kept_is_refused_with_the_smallest_that_can() {
-    let problem = refused(100);
+    let problem = refused(1000);
     assert_eq!((problem.status, &*problem.kind), (507, "urn:tcgs:problem:max-bytes-unreachable"));
     let smallest = problem.smallest_bytes.expect("stated");
     assert!(problem.detail.contains(&smallest.to_string()), "{problem}");
