@@ -97,6 +97,7 @@ impl Pair {
         let render = device.upload("render", &render)?;
         let packed: Vec<u32> =
             self.photograph.iter().map(|[r, g, b]| u32::from_le_bytes([*r, *g, *b, 255])).collect();
+        let packed = device.upload("photograph", &packed)?;
         let mut recorder = device.recorder("loss");
         let size = [self.size.x as u32, self.size.y as u32];
         let gradient = loss.record(&mut recorder, size, &render, &packed, weights)?.clone();

@@ -110,9 +110,9 @@ fn samples(device: &Arc<Device>) -> Result<Errors, CaseFault> {
     let mut loss = ImageLoss::new(Arc::clone(device))?;
     let value = 0.3_f32;
     let render = device.upload("render", &vec![[value; 4]; pixels])?;
+    let black = device.upload("photograph", &vec![u32::from_le_bytes([0, 0, 0, 255]); pixels])?;
     let mut recorder = device.recorder("loss");
-    let black = u32::from_le_bytes([0, 0, 0, 255]);
-    loss.record(&mut recorder, [side, side], &render, &vec![black; pixels], None)?;
+    loss.record(&mut recorder, [side, side], &render, &black, None)?;
     recorder.submit()?;
     let Some(sums) = loss.sums()? else { return Ok(Vec::new()) };
     let value = f64::from(value);

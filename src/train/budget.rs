@@ -6,15 +6,16 @@
 //! ([`crate::gpu::GpuError::OverBudget`]), so a scene beyond the assumptions ends the run with an error and not the process.
 
 use super::{
-    Estimate, ImageLoss, OverBudget, Schedule,
+    Estimate, ImageLoss, OverBudget, PhotographPlace, Schedule,
     batch::REPORT_INTERVAL,
     footprint::{AnchorFootprint, Footprint, PlainFootprint},
     memory_estimate::Part,
+    photographs::AHEAD,
 };
 use crate::{
-    domain::{Dataset, MemoryBudget, ModelKind, TrainOptions},
+    domain::{Dataset, MemoryBudget, ModelKind, Split, TrainOptions},
     eval::measuring_bytes,
-    gpu::AdapterReport,
+    gpu::{AdapterReport, CONSTANT_BYTES, buffer_bytes},
     render::Rasterizer,
 };
 
@@ -24,9 +25,15 @@ const PAIRS_A_TILE: usize = 512;
 /// Main memory of the program and a software driver with its compiled kernels.
 const PROGRAM_BYTES: u64 = 256 << 20;
 
-/// Host bytes a pixel of the photograph of a step: as stored, over its background, packed, on its way to the device, and the next
-/// one packed.
-const STEP_BYTES_A_PIXEL: u64 = 4 + 3 + 4 + 4 + 4;
+/// Host bytes a pixel of the photograph of a step, packed and on its way to the device, and of those that are prepared ahead: as
+/// stored, over the background, packed.
+const STEP_BYTES_A_PIXEL: u64 = 4 + 4 + AHEAD as u64 * (4 + 3 + 4);
+
+/// Bytes a pixel of a packed photograph.
+const PACKED: u64 = size_of::<u32>() as u64;
+
+/// Most photographs on their way to the device: those of the steps of two batches.
+const IN_FLIGHT: u64 = 2 * REPORT_INTERVAL as u64;
 
 /// Host bytes a point of the cloud: position and colour, a copy of the position, and its cell in sets and trees.
 const POINT_BYTES: u64 = 15 + 12 + 128;
@@ -41,6 +48,8 @@ pub struct Needs<'a> {
     /// Whether there are images of other sizes.
     mixed: bool,
     photographs: u64,
+    /// Bytes of the training photographs that may be kept packed: those in memory.
+    packed: u64,
     /// Points of the cloud, or random ones.
     points: usize,
 }
@@ -58,6 +67,13 @@ impl<'a> Needs<'a> {
             largest,
             mixed: sizes().any(|size| size != largest),
             photographs: dataset.bytes_in_memory(),
+            packed: dataset
+                .split(Split::Train)
+                .filter(|frame| frame.image.bytes_in_memory() > 0)
+                .map(|frame| {
+                    buffer_bytes::<u32>(frame.image.width() as usize * frame.image.height() as usize)
+                })
+                .sum(),
             points: if cloud > 0 { cloud } else { schedule.random_points },
             footprint: match options.model {
                 ModelKind::Tcgs | ModelKind::Scaffold => Box::new(AnchorFootprint {
@@ -74,9 +90,15 @@ impl<'a> Needs<'a> {
         }
     }
 
-    /// What a run takes whose model grows to `size`.
+    /// What a run takes whose model grows to `size` and that keeps no packed photographs.
     #[must_use]
     pub fn estimate(&self, size: usize) -> Estimate {
+        self.estimate_with(size, PhotographPlace::Nowhere)
+    }
+
+    /// What a run takes whose model grows to `size` and that keeps packed photographs in `photographs`.
+    #[must_use]
+    pub fn estimate_with(&self, size: usize, photographs: PhotographPlace) -> Estimate {
         let model = &self.footprint;
         let gaussians = model.gaussians(size);
         let [width, height] = self.largest.map(u64::from);
@@ -86,21 +108,27 @@ impl<'a> Needs<'a> {
         let raster = |gaussians, pairs| Rasterizer::bytes(self.adapter, gaussians, pairs, self.largest);
         let pairs = self.pairs(gaussians);
         let part = |name, bytes| Part { name, bytes };
+        let of_steps = (sizes + IN_FLIGHT) * PACKED * pixels;
+        let [on_device, on_host] = match photographs {
+            PhotographPlace::Device => [self.packed, 0],
+            PhotographPlace::Host => [of_steps, self.packed],
+            PhotographPlace::Nowhere => [of_steps, 0],
+        };
         Estimate {
             size,
             unit: model.unit(),
+            photographs,
             gpu: vec![
                 part("model and optimiser", model.model_bytes(size)),
                 part("Gaussians of a view", model.view_bytes(size)),
                 part("rasteriser", raster(gaussians, pairs) + (sizes - 1) * raster(0, 0)),
-                part(
-                    "loss",
-                    sizes * ImageLoss::bytes(self.adapter, self.largest)
-                        + 4 * u64::from(REPORT_INTERVAL) * pixels,
-                ),
+                part("loss", sizes * ImageLoss::bytes(self.adapter, self.largest)),
+                part("packed photographs", on_device),
+                part("constants", CONSTANT_BYTES),
             ],
             host: vec![
                 part("photographs", self.photographs),
+                part("packed photographs", on_host),
                 // Views are measured when no step runs.
                 part("photographs in use", (STEP_BYTES_A_PIXEL * pixels).max(measuring_bytes(pixels))),
                 part("points", POINT_BYTES * self.points as u64),
@@ -119,17 +147,31 @@ impl<'a> Needs<'a> {
     }
 
     /// The largest run that `budget` allows: the schedule's, or one that stops growing earlier but still holds what the points
-    /// begin with.
+    /// begin with. It keeps packed photographs where there is memory left for them.
     ///
     /// # Errors
     /// [`OverBudget`] if there is none.
     pub fn within(&self, budget: &MemoryBudget) -> Result<Estimate, OverBudget> {
+        let size = self.largest_within(budget)?;
+        // Where both are one memory, photographs count as main memory, which they come from.
+        let places: &[PhotographPlace] = if self.adapter.shares_main_memory() {
+            &[PhotographPlace::Host]
+        } else {
+            &[PhotographPlace::Device, PhotographPlace::Host]
+        };
+        let mut kept =
+            places.iter().filter(|_| self.packed > 0).map(|place| self.estimate_with(size, *place));
+        Ok(kept.find(|kept| kept.fits(budget)).unwrap_or_else(|| self.estimate(size)))
+    }
+
+    /// The size of the largest run that `budget` allows without packed photographs.
+    fn largest_within(&self, budget: &MemoryBudget) -> Result<usize, OverBudget> {
         let max_size = self.footprint.max_size(self.adapter);
         // Growth takes the other half.
         let least = self.points.min(max_size / 2).max(1);
         let wanted = self.estimate(max_size);
         if wanted.fits(budget) {
-            return Ok(wanted);
+            return Ok(max_size);
         }
         let needed = self.estimate(least);
         if !needed.fits(budget) {
@@ -144,7 +186,7 @@ impl<'a> Needs<'a> {
                 too_many = middle;
             }
         }
-        Ok(self.estimate(fits))
+        Ok(fits)
     }
 }
 

@@ -132,7 +132,6 @@ fn binding_limit(adapter: &AdapterReport) -> u64 {
 #[derive(Debug)]
 struct Fields {
     division: Division,
-    photograph: Buffer<u32>,
     moments: Buffer<[f32; 4]>,
     derivatives: Buffer<[f32; 4]>,
     losses: Buffer<[f32; 4]>,
@@ -146,7 +145,6 @@ impl Fields {
         let (pixels, field) = (division.pixels(), division.field());
         planned!(Self {
             division: Plan::value(division),
-            photograph: Plan::resized("photograph", pixels, old.map(|old| &old.photograph)),
             moments: Plan::resized("SSIM moments", field, old.map(|old| &old.moments)),
             derivatives: Plan::resized("SSIM derivatives", field, old.map(|old| &old.derivatives)),
             losses: Plan::resized("losses", division.max_shares(), old.map(|old| &old.losses)),
@@ -180,6 +178,26 @@ impl LossSums {
     #[must_use]
     pub fn psnr(&self) -> f64 {
         -10.0 * self.mse.max(1e-10).log10()
+    }
+}
+
+/// Partial sums of a loss on the device.
+#[derive(Debug, Clone)]
+pub struct PartialSums {
+    /// Sums over some pixels each: of SSIM, absolute and squared differences, and of the weighted wavelet constraint.
+    pub sums: Buffer<[f32; 4]>,
+    /// Samples of the image.
+    samples: usize,
+}
+
+impl PartialSums {
+    /// The values of the loss from a copy of [`Self::sums`].
+    #[must_use]
+    pub fn total(&self, sums: &[[f32; 4]]) -> LossSums {
+        let sum =
+            |part: usize| sums.iter().take(self.sums.len()).map(|run| f64::from(run[part])).sum::<f64>();
+        let mean = |part: usize| sum(part) / self.samples as f64;
+        LossSums { ssim: mean(0), l1: mean(1), mse: mean(2), wavelet: sum(3) }
     }
 }
 
@@ -227,20 +245,19 @@ impl ImageLoss {
         buffer_bytes::<ImageUniform>(1) + buffer_bytes::<ConstraintUniform>(1) + fields.max(smaller)
     }
 
-    /// Records the loss of `render` against `photograph` (packed 8-bit RGB, one word a pixel) and its gradient;
-    /// without `wavelet` the constraint costs nothing.
+    /// Records the loss of `render` against `photograph` (packed 8-bit RGB, one word a pixel, red lowest) and its gradient; without
+    /// `wavelet` the constraint costs nothing. The fourth byte of a word is a weight that no kernel reads yet.
     pub fn record(
         &mut self,
         recorder: &mut Recorder<'_>,
         size: [u32; 2],
         render: &Buffer<[f32; 4]>,
-        photograph: &[u32],
+        photograph: &Buffer<u32>,
         wavelet: Option<&WaveletWeights>,
     ) -> Result<&Buffer<[f32; 4]>, GpuError> {
         let division = Division::of(size, self.run, self.device.adapter());
         let fields = Fields::plan(division, self.fields.as_ref()).make(&self.device)?;
         let fields = &*self.fields.insert(fields);
-        recorder.write(&fields.photograph, photograph);
         let samples = (3 * division.pixels()) as f64;
         let blocks = if wavelet.is_some() { division.blocks() } else { 0 };
         let uniform = |first| {
@@ -255,11 +272,7 @@ impl ImageLoss {
         let [by_rows, by_columns] = [division.by_rows(), division.by_columns()]
             .map(|invocations| (division.channels * invocations).div_ceil(64));
         for uniform in &uniforms {
-            recorder.dispatch(
-                &self.kernels.rows,
-                &[uniform, render, &fields.photograph, &fields.moments],
-                by_rows,
-            );
+            recorder.dispatch(&self.kernels.rows, &[uniform, render, photograph, &fields.moments], by_rows);
             recorder.dispatch(
                 &self.kernels.columns,
                 &[uniform, &fields.moments, &fields.derivatives, &fields.losses],
@@ -267,14 +280,7 @@ impl ImageLoss {
             );
             recorder.dispatch(
                 &self.kernels.gradient,
-                &[
-                    &uniform,
-                    render,
-                    &fields.photograph,
-                    &fields.derivatives,
-                    &fields.losses,
-                    &fields.gradient,
-                ],
+                &[&uniform, render, photograph, &fields.derivatives, &fields.losses, &fields.gradient],
                 by_rows,
             );
         }
@@ -282,7 +288,7 @@ impl ImageLoss {
             let constraint = recorder.uniform(&[ConstraintUniform::new(size, division.shares(), weights)])?;
             recorder.dispatch(
                 &self.kernels.wavelet,
-                &[&constraint, render, &fields.photograph, &fields.losses, &fields.gradient],
+                &[&constraint, render, photograph, &fields.losses, &fields.gradient],
                 blocks.div_ceil(64),
             );
         }
@@ -296,17 +302,14 @@ impl ImageLoss {
 
     /// The values of the last submitted loss. Waits for the device.
     pub fn sums(&self) -> Result<Option<LossSums>, GpuError> {
-        let Some(fields) = &self.fields else { return Ok(None) };
-        let sums = self.device.read(&fields.sums)?;
-        let samples = (3 * fields.division.pixels()) as f64;
-        let sum = |part: usize| sums.iter().map(|run| f64::from(run[part])).sum::<f64>();
-        let mean = |part: usize| sum(part) / samples;
-        Ok(Some(LossSums { ssim: mean(0), l1: mean(1), mse: mean(2), wavelet: sum(3) }))
+        let Some(partial) = self.partial_sums() else { return Ok(None) };
+        Ok(Some(partial.total(&self.device.read(&partial.sums)?)))
     }
-}
 
-/// An RGB image as the kernels read it: one word a pixel, red lowest.
-#[must_use]
-pub(super) fn pack(rgb: &[u8]) -> Vec<u32> {
-    rgb.chunks_exact(3).map(|p| u32::from_le_bytes([p[0], p[1], p[2], 255])).collect()
+    /// Where the values of the last recorded loss are.
+    #[must_use]
+    pub fn partial_sums(&self) -> Option<PartialSums> {
+        let fields = self.fields.as_ref()?;
+        Some(PartialSums { sums: fields.sums.clone(), samples: 3 * fields.division.pixels() })
+    }
 }

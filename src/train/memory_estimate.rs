@@ -15,6 +15,17 @@ pub struct Part {
     pub bytes: u64,
 }
 
+/// Where packed photographs are kept.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum PhotographPlace {
+    /// On the device.
+    Device,
+    /// In main memory.
+    Host,
+    /// Nowhere: each is prepared for every step that needs it.
+    Nowhere,
+}
+
 /// What a run takes at its largest.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Estimate {
@@ -22,6 +33,8 @@ pub struct Estimate {
     pub size: usize,
     /// What that counts: "anchors".
     pub unit: &'static str,
+    /// Where the training photographs are kept.
+    pub photographs: PhotographPlace,
     /// On the device.
     pub gpu: Vec<Part>,
     /// In main memory, the device's not counted.

@@ -22,6 +22,7 @@ mod masks;
 mod memory_estimate;
 mod model_trainer;
 mod narrowing;
+mod photographs;
 mod plain;
 mod prune_invisible;
 mod rate_control;
@@ -46,7 +47,7 @@ use error::Result;
 pub use error::{ContextError, TrainError};
 pub use loss::{ImageLoss, LossSums};
 pub use masks::{FIRST_LOGIT, MaskRows, OffsetMasks};
-pub use memory_estimate::{Estimate, OverBudget};
+pub use memory_estimate::{Estimate, OverBudget, PhotographPlace};
 pub use rate_control::{RateControl, RateControlState, SizeAim, SizeLimit};
 pub use schedule::{
     BaseQuantStepRule, CompressionSchedule, Decay, DecayShape, MaskSchedule, Pace, Schedule, Stage,

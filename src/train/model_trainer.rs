@@ -54,6 +54,15 @@ pub(super) struct BitrateSample {
     pub other_bytes: f64,
 }
 
+/// Buffers that hold figures of the last submitted step.
+#[derive(Debug, Clone, Default)]
+pub(super) struct FigureBuffers {
+    /// Candidate Gaussians of its view, those of positive opacity, visible anchors; in a model that makes Gaussians for each view.
+    pub counts: Option<Buffer<u32>>,
+    /// Bits of the sample of anchors by attribute group, if the loss has a rate term.
+    pub bits: Option<Buffer<f32>>,
+}
+
 /// The result of a [`ModelTrainer`].
 #[derive(Debug, Clone)]
 pub(super) struct FinishedModel {
@@ -97,11 +106,14 @@ pub(super) trait ModelTrainer {
     /// Anchors; zero in a model that has none.
     fn anchors(&self) -> usize;
 
-    /// The model's size. May wait for the device.
-    fn size(&self) -> Result<ModelSize>;
+    /// Where the figures of the last submitted step are.
+    fn figures(&self) -> FigureBuffers;
 
-    /// The bits of the sample of `step`, the last submitted one; none if the loss has no rate term. May wait for the device.
-    fn bitrate(&self, step: u32) -> Result<Option<BitrateSample>>;
+    /// The model's size; `counts` are those of [`FigureBuffers`].
+    fn size(&self, counts: Option<&[u32]>) -> ModelSize;
+
+    /// The file's size by the sample of `step`, whose `bits` are those of [`FigureBuffers`].
+    fn bitrate(&self, step: u32, bits: &[f32]) -> Result<Option<BitrateSample>>;
 
     /// Everything that the next step depends on. Waits for the device.
     fn save(&self) -> Result<ModelState>;

@@ -10,7 +10,7 @@ use super::{
     Result, Schedule,
     anchor_trainer::{AnchorTrainer, put_scene_scale, scene_scale_of},
     checkpoint::ModelState,
-    model_trainer::{BitrateSample, FinishedModel, ModelSize, ModelTrainer, Step, Views},
+    model_trainer::{BitrateSample, FigureBuffers, FinishedModel, ModelSize, ModelTrainer, Step, Views},
     plain::PlainTrainer,
 };
 use crate::{
@@ -158,12 +158,16 @@ impl ModelTrainer for TwoStageTrainer {
         self.stage.trainer().anchors()
     }
 
-    fn size(&self) -> Result<ModelSize> {
-        self.stage.trainer().size()
+    fn figures(&self) -> FigureBuffers {
+        self.stage.trainer().figures()
     }
 
-    fn bitrate(&self, step: u32) -> Result<Option<BitrateSample>> {
-        self.stage.trainer().bitrate(step)
+    fn size(&self, counts: Option<&[u32]>) -> ModelSize {
+        self.stage.trainer().size(counts)
+    }
+
+    fn bitrate(&self, step: u32, bits: &[f32]) -> Result<Option<BitrateSample>> {
+        self.stage.trainer().bitrate(step, bits)
     }
 
     fn save(&self) -> Result<ModelState> {

@@ -15,7 +15,7 @@ use super::{
     checkpoint::ModelState,
     compression::Compression,
     densify::{TrainableAnchors, densify, drop_masked},
-    model_trainer::{BitrateSample, FinishedModel, ModelSize, ModelTrainer, Step, Views},
+    model_trainer::{BitrateSample, FigureBuffers, FinishedModel, ModelSize, ModelTrainer, Step, Views},
     prune_invisible::prune_invisible,
 };
 use crate::{
@@ -411,14 +411,20 @@ impl ModelTrainer for AnchorTrainer {
         self.anchors.len()
     }
 
-    fn size(&self) -> Result<ModelSize> {
-        let counts = self.rendered.then(|| self.neural.counts()).transpose()?;
-        Ok(ModelSize { anchors: self.anchors.len(), gaussians: counts.map(|counts| counts[1] as usize) })
+    fn figures(&self) -> FigureBuffers {
+        FigureBuffers {
+            counts: self.rendered.then(|| self.neural.gaussians().count.clone()),
+            bits: self.compression.as_ref().and_then(Compression::sampled_bits),
+        }
     }
 
-    fn bitrate(&self, step: u32) -> Result<Option<BitrateSample>> {
+    fn size(&self, counts: Option<&[u32]>) -> ModelSize {
+        ModelSize { anchors: self.anchors.len(), gaussians: counts.map(|counts| counts[1] as usize) }
+    }
+
+    fn bitrate(&self, step: u32, bits: &[f32]) -> Result<Option<BitrateSample>> {
         let bitrate = match &self.compression {
-            Some(compression) => compression.bitrate(step)?,
+            Some(compression) => compression.bitrate(step, bits)?,
             None => None,
         };
         Ok(bitrate.map(|(bits_per_anchor, context_bytes)| BitrateSample {

@@ -110,7 +110,7 @@ mod tests {
         run.step = 30;
         run.seconds = 12.5;
         run.order = vec![3, 0, 2];
-        run.set_average(LossSums { ssim: 0.1 + 0.2, l1: 1.0 / 3.0, mse: 1e-300, wavelet: 0.7 });
+        run.observe_losses(&LossSums { ssim: 0.1 + 0.2, l1: 1.0 / 3.0, mse: 1e-300, wavelet: 0.7 });
         let mut model = ModelState::default();
         model.put("rows", vec![1.0_f32, f32::MIN_POSITIVE / 2.0, -0.0]);
         model.put("cells", vec![-1, i32::MAX]);

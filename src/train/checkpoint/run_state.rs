@@ -104,9 +104,16 @@ impl RunState {
         Some(LossSums { ssim, l1, mse, wavelet })
     }
 
-    /// Sets them.
-    pub(in crate::train) fn set_average(&mut self, sums: LossSums) {
-        self.average = Some([sums.ssim, sums.l1, sums.mse, sums.wavelet].map(f64::to_bits));
+    /// Adds the losses of a step to them.
+    pub(in crate::train) fn observe_losses(&mut self, sums: &LossSums) {
+        let blend = |old: f64, new: f64| 0.9 * old + 0.1 * new;
+        let LossSums { ssim, l1, mse, wavelet } = self.average().map_or(*sums, |old| LossSums {
+            ssim: blend(old.ssim, sums.ssim),
+            l1: blend(old.l1, sums.l1),
+            mse: blend(old.mse, sums.mse),
+            wavelet: blend(old.wavelet, sums.wavelet),
+        });
+        self.average = Some([ssim, l1, mse, wavelet].map(f64::to_bits));
     }
 
     /// Weight of the rate term in the loss.

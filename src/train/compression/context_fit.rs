@@ -273,11 +273,14 @@ impl ContextFit<'_> {
         let device = &self.compression.device;
         let all: Vec<u32> = (0..self.rows.len() as u32).collect();
         let mut bytes = [0.0, 0.0, 0.0, BYTES_PER_PARAMETER * stored_parameters(net.layout()) as f64];
+        let mut readings = Vec::new();
         for sample in all.chunks(self.rate.capacity().max(1)) {
             let mut recorder = device.recorder("rate of the scene");
             self.record(&mut recorder, net, sample, false)?;
-            recorder.submit()?;
-            let sums = self.rate.sums(device)?;
+            readings.push(recorder.submit_reading(&[self.rate.bits_by_group()])?);
+        }
+        for reading in readings {
+            let sums = RateTerm::sums_of(bytemuck::cast_slice(&reading.wait(device)?[0]));
             bytes.iter_mut().zip(sums).for_each(|(bytes, bits)| *bytes += bits / 8.0);
         }
         Ok(bytes)

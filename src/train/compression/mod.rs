@@ -374,18 +374,24 @@ impl Compression {
         Ok(())
     }
 
-    /// Mean bits of an anchor's attributes in the last submitted sample, that of `step`, and bytes of the context model; none before
-    /// it learns.
+    /// Where the bits of the last sample are, by group; none before the context model learns.
+    pub(in crate::train) fn sampled_bits(&self) -> Option<Buffer<f32>> {
+        let model = self.context_model.as_ref().filter(|context_model| context_model.sampled > 0)?;
+        Some(model.rate.bits_by_group().clone())
+    }
+
+    /// Mean bits of an anchor's attributes in the sample of `step`, whose `bits` are those of [`Self::sampled_bits`], and bytes of the
+    /// context model; none before it learns.
     ///
     /// Until a context model is selected, its bytes are those of the model without planes and neighbours: the selected one has more
     /// only if it saves them elsewhere.
-    pub(in crate::train) fn bitrate(&self, step: u32) -> Result<Option<(f64, f64)>> {
+    pub(in crate::train) fn bitrate(&self, step: u32, bits: &[f32]) -> Result<Option<(f64, f64)>> {
         let Some(context_model) =
             self.context_model.as_ref().filter(|context_model| context_model.sampled > 0)
         else {
             return Ok(None);
         };
-        let [features, scalings, offsets] = context_model.rate.sums(&self.device)?;
+        let [features, scalings, offsets] = RateTerm::sums_of(bits);
         let bits = features * self.feature_share.unwrap_or(1.0) + scalings + offsets;
         let config = context_model.net.layout().config;
         let selected = self.schedule.stage(step) >= Stage::Rounded;

@@ -197,9 +197,20 @@ impl RateTerm {
         &self.bits
     }
 
-    /// Bits that a file takes for the last submitted sample, by group. Waits for the device; free beside another figure that is read back.
+    /// Bits that a file takes for the last submitted sample, by group. Waits for the device.
     pub fn sums(&self, device: &Device) -> Result<[f64; GROUPS], GpuError> {
-        let sums = device.read(&self.sums)?;
-        Ok(std::array::from_fn(|group| f64::from(sums[group])))
+        Ok(Self::sums_of(&device.read(&self.sums)?))
+    }
+
+    /// Where those bits are.
+    #[must_use]
+    pub fn bits_by_group(&self) -> &Buffer<f32> {
+        &self.sums
+    }
+
+    /// The bits in a copy of [`Self::bits_by_group`].
+    #[must_use]
+    pub fn sums_of(bits: &[f32]) -> [f64; GROUPS] {
+        std::array::from_fn(|group| bits.get(group).copied().map_or(0.0, f64::from))
     }
 }

@@ -10,7 +10,7 @@ use rand_pcg::Pcg64;
 use super::{
     Adam, AdamStep, CheckpointError, Moments, Result, Schedule, TrainError,
     checkpoint::ModelState,
-    model_trainer::{BitrateSample, FinishedModel, ModelSize, ModelTrainer, Step, Views},
+    model_trainer::{BitrateSample, FigureBuffers, FinishedModel, ModelSize, ModelTrainer, Step, Views},
     schedule::PlainSchedule,
 };
 use crate::{
@@ -252,11 +252,15 @@ impl ModelTrainer for PlainTrainer {
         0
     }
 
-    fn size(&self) -> Result<ModelSize> {
-        Ok(ModelSize { anchors: 0, gaussians: Some(self.rows.count) })
+    fn figures(&self) -> FigureBuffers {
+        FigureBuffers::default()
     }
 
-    fn bitrate(&self, _step: u32) -> Result<Option<BitrateSample>> {
+    fn size(&self, _counts: Option<&[u32]>) -> ModelSize {
+        ModelSize { anchors: 0, gaussians: Some(self.rows.count) }
+    }
+
+    fn bitrate(&self, _step: u32, _bits: &[f32]) -> Result<Option<BitrateSample>> {
         Ok(None)
     }
 

@@ -1,10 +1,11 @@
 //! The training loop: each step renders one photograph's view, takes the losses' gradients back and updates the parameters;
 //! between steps the model grows and is pruned.
 //!
-//! A step is one submission, and steps are submitted in batches: after each batch the host reads whether a step overflowed the
-//! rasteriser's buffers, and repeats the steps from there with larger ones.
+//! A step is one submission, and steps are submitted in batches, of which two are in flight: while the device works on one, the host
+//! records the next and then reads whether a step of the first overflowed the rasteriser's buffers. If so, the steps from there on,
+//! which have changed nothing, are repeated with larger ones.
 
-use std::{borrow::Cow, sync::Arc, time::Instant};
+use std::{borrow::Cow, collections::VecDeque, sync::Arc, time::Instant};
 
 use rand::{SeedableRng, seq::SliceRandom};
 use rand_pcg::Pcg64;
@@ -13,12 +14,12 @@ use super::{
     Checkpoint, CheckpointSink, Estimate, ImageLoss, LossSums, Needs, RateControl, Result, Schedule,
     TrainError, WaveletWeights,
     anchor_trainer::AnchorTrainer,
-    batch::{Batch, REPORT_INTERVAL},
+    batch::{Batch, Flight, REPORT_INTERVAL},
     checkpoint::{ModelState, RunIdentity, RunState},
     convergence::{Scores, Watch},
     init_bounds::{expect_resolved, init_bounds},
-    loss::pack,
-    model_trainer::{BitrateSample, FinishedModel, ModelTrainer, Step, Views},
+    model_trainer::{BitrateSample, FigureBuffers, FinishedModel, ModelTrainer, Step, Views},
+    photographs::Photographs,
     plain::PlainTrainer,
     scene_extent::scene_extent,
     trained::Trained,
@@ -27,11 +28,11 @@ use super::{
 };
 use crate::{
     domain::{
-        Background, CancelFlag, Choices, Component, Convergence, Dataset, FailurePoint, Frame, MemoryBudget,
-        ModelKind, NearPlane, PointCloud, Progress, Scene, SceneScale, ShortenedRun, SizeBound, Split,
-        TrainOptions, Until, Widths, failure_point::reach,
+        Background, Camera, CancelFlag, Choices, Component, Convergence, Dataset, FailurePoint, Frame,
+        MemoryBudget, ModelKind, NearPlane, PointCloud, Progress, Scene, SceneScale, ShortenedRun, SizeBound,
+        Split, TrainOptions, Until, Widths, failure_point::reach,
     },
-    gpu::Device,
+    gpu::{Binding, Device, KernelVariant, RawBuffer, Readback, Recorder},
     model::{Shape, random_points},
     render::{RasterSettings, Rasterizer},
 };
@@ -210,6 +211,32 @@ impl ModelFactory<'_> {
     }
 }
 
+/// Milliseconds of a step on an H100 that one submission may take. Drivers reset a device after two seconds; a card a twentieth as fast
+/// then has a tenth of that.
+const MAX_SUBMISSION_MS: f64 = 10.0;
+
+/// Milliseconds of a step on an H100 for a Gaussian and for a pixel (docs/HARDWARE.md).
+const MS_A_GAUSSIAN: f64 = 6e-6;
+const MS_A_PIXEL: f64 = 1e-6;
+
+/// Whether a step of so many Gaussians is submitted in parts, since a driver could take a slow card for a hung one. Software adapters
+/// have no such limit.
+fn is_long(device: &Device, gaussians: usize, camera: &Camera) -> bool {
+    let pixels = f64::from(camera.intrinsics.width) * f64::from(camera.intrinsics.height);
+    let milliseconds = MS_A_GAUSSIAN * gaussians as f64 + MS_A_PIXEL * pixels;
+    device.variant() == KernelVariant::Hardware && milliseconds > MAX_SUBMISSION_MS
+}
+
+/// Figures of a step.
+struct Figures {
+    /// None before the first loss.
+    sums: Option<LossSums>,
+    /// As [`FigureBuffers::counts`].
+    counts: Option<Vec<u32>>,
+    /// As [`FigureBuffers::bits`].
+    bits: Option<Vec<f32>>,
+}
+
 /// Where a run stops.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Goal {
@@ -245,8 +272,15 @@ struct Run<'a> {
     /// Gaussians of the last view that was rendered; none before the first.
     gaussians: Option<usize>,
     batch: Batch,
-    /// The next photograph, by its index among the frames.
-    prepared: Option<(usize, Vec<u32>)>,
+    /// Batches that were submitted and not settled yet, the first one first.
+    flights: VecDeque<Flight>,
+    /// Passes of settled batches since the rasteriser's counters were reset.
+    settled_passes: usize,
+    /// When the last batch was settled, or the first one begun.
+    paced: Instant,
+    /// Progress of settled steps that is not reported yet.
+    news: Vec<Progress>,
+    photographs: Photographs,
 }
 
 impl<'a> Run<'a> {
@@ -326,7 +360,11 @@ impl<'a> Run<'a> {
             gaussians: None,
             // The first batch is one step: it compiles kernels and allocates buffers.
             batch: Batch::Timed { seconds_per_step: 1.0 },
-            prepared: None,
+            flights: VecDeque::new(),
+            settled_passes: 0,
+            paced: now,
+            news: Vec::new(),
+            photographs: Photographs::new(device, &frames, options.background, estimate.photographs),
             state,
             device: Arc::clone(device),
             frames,
@@ -352,29 +390,29 @@ impl<'a> Run<'a> {
         let mut writer = CheckpointWriter { sink, saved_step: self.state.step };
         if self.state.step > 0 {
             writer.keep_first(self);
-            report(&writer.with_checkpoint_step(self.progress(None)?));
+            let figures = self.read_figures()?;
+            let progress = self.progress(self.state.step, &figures);
+            report(&writer.with_checkpoint_step(progress));
         }
         while self.state.step < self.last(goal) {
             if cancel.is_cancelled() {
+                // Steps that overflowed are not repeated: the checkpoint is of the last one before them.
+                self.settle(0)?;
                 writer.save(self);
                 return Err(TrainError::Cancelled);
             }
             let last = self.last(goal);
             self.advance(&mut |step| step == last || writer.wants(step), cancel)?;
             let step = self.state.step;
-            let mut progress = None;
-            if step.is_multiple_of(REPORT_INTERVAL) || step == self.schedule.steps {
-                let sums = self.sums()?;
-                self.update_bitrate()?;
-                progress = Some(self.progress(Some(sums))?);
+            if self.flights.is_empty() {
+                // After the losses and the size of the step's own view were read, and before the checkpoint, which holds the score.
+                self.score_views_aside()?;
+                // Before the report, which states its step. A run that is cancelled in a long pause goes on from the step before it.
+                if writer.wants(step) || self.schedule.pauses_after(step + 1) || step == self.last(goal) {
+                    writer.save(self);
+                }
             }
-            // After the losses and the size of the step's own view were read, and before the checkpoint, which holds the score.
-            self.score_views_aside()?;
-            // Before the report, which states its step. A run that is cancelled in a long pause goes on from the step before it.
-            if writer.wants(step) || self.schedule.pauses_after(step + 1) || step == self.last(goal) {
-                writer.save(self);
-            }
-            if let Some(progress) = progress {
+            for progress in std::mem::take(&mut self.news) {
                 report(&writer.with_checkpoint_step(progress));
             }
         }
@@ -438,11 +476,11 @@ impl<'a> Run<'a> {
     fn psnr_of_view(&mut self, index: usize) -> Result<f64> {
         let step = self.at(self.state.step);
         let camera = self.frames[index].camera;
-        let photograph = self.packed(index)?;
         let size = [camera.intrinsics.width, camera.intrinsics.height];
         let device = Arc::clone(&self.device);
         loop {
             let mut recorder = device.recorder("view kept aside");
+            let photograph = self.photographs.bring(&mut recorder, index)?;
             self.model.forward(&mut recorder, &camera, &step)?;
             self.raster.forward(&mut recorder, self.model.gaussians(), &camera, self.background.rgb())?;
             self.loss.record(&mut recorder, size, self.raster.image(), &photograph, None)?;
@@ -464,89 +502,210 @@ impl<'a> Run<'a> {
         tracing::info!(step, steps = self.schedule.steps, "converged: the rest of the schedule is shortened");
     }
 
-    /// Runs a batch of steps: up to the next one that the host has to act after, or that `wanted` names.
+    /// Submits a batch of steps: up to the next one that the host has to act after, or that `wanted` names. Settles the batch before it,
+    /// and this one too if the host has to act after it.
     ///
-    /// Nothing is read back in between. If a pass overflowed its buffer of intersections, it and the passes after it changed
+    /// Nothing is read back within a batch. If a pass overflowed its buffer of intersections, it and the passes after it changed
     /// nothing, and are repeated with a larger buffer. Returns the number of recorded steps, repeated ones included.
     fn advance(&mut self, wanted: &mut dyn FnMut(u32) -> bool, cancel: &CancelFlag) -> Result<u32> {
-        let started = Instant::now();
-        let max_steps = self.batch.length();
-        let mut before = Vec::new();
         let mut recorded = 0;
-        let last = loop {
-            before.push(self.state.clone());
-            self.record()?;
-            recorded += 1;
-            let step = self.at(self.state.step);
-            let is_last = step.number == self.schedule.steps
-                || self.scores_after(step.number)
-                || step.number.is_multiple_of(REPORT_INTERVAL)
-                || before.len() >= max_steps
-                || self.model.adapts(&step)
-                || self.schedule.pauses_after(step.number + 1)
-                || wanted(step.number);
-            if !is_last {
+        loop {
+            let (last, steps, pauses) = self.submit_batch(wanted)?;
+            recorded += steps;
+            if !self.settle(if pauses { 0 } else { 1 })? {
                 continue;
             }
-            self.prepare_next()?;
-            let passes = self.raster.take_forward_passes()?;
-            let Some(needed) = passes.required else { break step };
-            let first = (passes.completed as usize).min(before.len() - 1);
-            tracing::debug!(step = before[first].step + 1, needed, "no room for all intersections");
-            self.state = before.swap_remove(first);
-            before.clear();
-            self.raster.reserve(needed)?;
-        };
-        self.batch.update(recorded, started.elapsed().as_secs_f64());
-        if self.model.adapts(&last) {
-            let views = &mut Views { raster: &mut self.raster, frames: &self.frames, cancel };
-            self.model.adapt(&last, &mut self.state.rng, views)?;
+            if pauses {
+                if self.model.adapts(&last) {
+                    let views = &mut Views { raster: &mut self.raster, frames: &self.frames, cancel };
+                    self.model.adapt(&last, &mut self.state.rng, views)?;
+                }
+                if self.reports_after(last.number) {
+                    let figures = self.read_figures()?;
+                    self.take_figures(last.number, &figures)?;
+                }
+            }
+            return Ok(recorded);
         }
-        Ok(recorded)
     }
 
-    /// A photograph packed for the device. Packed when needed: keeping packed copies would double the dataset's memory.
-    fn packed(&self, index: usize) -> Result<Vec<u32>> {
-        let photograph = self.frames[index].image.load()?;
-        Ok(pack(photograph.over(self.background.rgb8()).samples()))
+    /// Records and submits the steps of a batch; returns the last one, their number, and whether the host has to act after it.
+    fn submit_batch(&mut self, wanted: &mut dyn FnMut(u32) -> bool) -> Result<(Step, u32, bool)> {
+        if self.flights.is_empty() {
+            // Passes between steps have counted too.
+            self.raster.reset_forward_passes();
+            (self.settled_passes, self.paced) = (0, Instant::now());
+        }
+        let max_steps = self.batch.length();
+        let mut before = Vec::new();
+        loop {
+            before.push(self.state.clone());
+            let steps = before.len();
+            let reading = self.record(&mut |run, step| {
+                let pauses = run.pauses_after(step) || wanted(step.number);
+                let ends = pauses || run.reports_after(step.number) || steps >= max_steps;
+                ends.then_some(pauses)
+            })?;
+            if let Some((last, pauses, reading)) = reading {
+                let steps = before.len() as u32;
+                let is_reported = !pauses && self.reports_after(last.number);
+                self.flights.push_back(Flight { before, last: last.number, is_reported, reading });
+                return Ok((last, steps, pauses));
+            }
+        }
     }
 
-    /// Packs the next photograph, if it is already known, while the device is busy.
-    fn prepare_next(&mut self) -> Result<()> {
-        let next = self.state.order.last().copied();
-        self.prepared = next.map(|index| Ok::<_, TrainError>((index, self.packed(index)?))).transpose()?;
-        Ok(())
+    /// Whether progress is reported after a step.
+    fn reports_after(&self, step: u32) -> bool {
+        step.is_multiple_of(REPORT_INTERVAL) || step == self.schedule.steps
     }
 
-    /// Records and submits one step.
-    fn record(&mut self) -> Result<()> {
+    /// Whether the host has to act on the state after a step, before the next one.
+    fn pauses_after(&self, step: &Step) -> bool {
+        step.number == self.schedule.steps
+            || self.scores_after(step.number)
+            || self.model.adapts(step)
+            || self.schedule.pauses_after(step.number + 1)
+            // The report changes lambda.
+            || (self.control.is_some() && self.reports_after(step.number))
+    }
+
+    /// Waits for batches until `left` are in flight. Returns false if a pass had overflowed: the state is then the one before that
+    /// step, and nothing is in flight.
+    fn settle(&mut self, left: usize) -> Result<bool> {
+        while self.flights.len() > left {
+            let Some(flight) = self.flights.pop_front() else { break };
+            let Flight { mut before, last, is_reported, reading } = flight;
+            let steps = before.len();
+            let read = reading.wait(&self.device)?;
+            let passes = self.raster.forward_passes(&read[0]);
+            let now = Instant::now();
+            self.batch.update(steps as u32, (now - self.paced).as_secs_f64());
+            self.paced = now;
+            if let Some(needed) = passes.required {
+                let first = (passes.completed as usize).saturating_sub(self.settled_passes).min(steps - 1);
+                tracing::debug!(step = before[first].step + 1, needed, "no room for all intersections");
+                self.state = before.swap_remove(first);
+                self.flights.clear();
+                self.raster.reserve(needed)?;
+                return Ok(false);
+            }
+            self.settled_passes += steps;
+            if is_reported {
+                let figures = self.figures_of(&read[1..]);
+                self.take_figures(last, &figures)?;
+            }
+        }
+        Ok(true)
+    }
+
+    /// Records and submits one step. If `ends` says that a batch ends with it, and whether the host has to act after it, the outcome of
+    /// the passes so far is on its way back, with the step's figures if they are reported without a pause.
+    fn record(
+        &mut self,
+        ends: &mut dyn FnMut(&Self, &Step) -> Option<bool>,
+    ) -> Result<Option<(Step, bool, Readback)>> {
         reach(FailurePoint::Step);
         let step = self.at(self.state.step + 1);
         let index = self.next_frame();
         let camera = self.frames[index].camera;
-        let photograph = match self.prepared.take() {
-            Some((prepared, photograph)) if prepared == index => photograph,
-            _ => self.packed(index)?,
-        };
+        self.photographs.prepare(self.state.order.iter().rev().copied());
         let device = Arc::clone(&self.device);
         let mut recorder = device.recorder(STEP_RECORDING);
+        recorder.stage("photograph");
+        let photograph = self.photographs.bring(&mut recorder, index)?;
         recorder.stage("model forward");
         self.model.forward(&mut recorder, &camera, &step)?;
-        recorder.stage("rasteriser forward");
+        let is_long = is_long(&device, self.model.gaussians().capacity, &camera);
+        let next_stage = |recorder: &mut Recorder<'_>, name| {
+            recorder.stage(name);
+            if is_long { recorder.flush() } else { Ok(()) }
+        };
+        next_stage(&mut recorder, "rasteriser forward")?;
         self.raster.forward(&mut recorder, self.model.gaussians(), &camera, self.background.rgb())?;
-        recorder.stage("loss");
+        next_stage(&mut recorder, "loss")?;
         let size = [camera.intrinsics.width, camera.intrinsics.height];
         let wavelet = self.wavelet.then(|| WaveletWeights::at(step.fraction));
         let v_image =
             self.loss.record(&mut recorder, size, self.raster.image(), &photograph, wavelet.as_ref())?;
         let gaussians = self.model.gaussians().clone();
         let d_gaussians = self.model.gaussian_gradients()?;
-        recorder.stage("rasteriser backward");
+        next_stage(&mut recorder, "rasteriser backward")?;
         self.raster.backward(&mut recorder, &gaussians, &camera, v_image, &d_gaussians)?;
-        recorder.stage("model backward");
+        next_stage(&mut recorder, "model backward")?;
         self.model.backward(&mut recorder, &step, self.raster.overflow_flag())?;
-        recorder.submit()?;
         self.state.step = step.number;
+        let step = self.at(step.number);
+        let Some(pauses) = ends(self, &step) else {
+            recorder.submit()?;
+            return Ok(None);
+        };
+        let figures =
+            if !pauses && self.reports_after(step.number) { self.figure_buffers() } else { Vec::new() };
+        let buffers: Vec<Binding<'_>> = std::iter::once(self.raster.overflow_flag() as Binding<'_>)
+            .chain(figures.iter().map(|buffer| &**buffer))
+            .collect();
+        Ok(Some((step, pauses, recorder.submit_reading(&buffers)?)))
+    }
+
+    /// Where the figures of the last step are: losses, then what the model has of counts and bits.
+    fn figure_buffers(&self) -> Vec<Box<dyn AsRef<RawBuffer>>> {
+        let FigureBuffers { counts, bits } = self.model.figures();
+        let mut buffers: Vec<Box<dyn AsRef<RawBuffer>>> = Vec::new();
+        if let Some(partial) = self.loss.partial_sums() {
+            buffers.push(Box::new(partial.sums));
+        }
+        buffers.extend(counts.map(|counts| Box::new(counts) as _));
+        buffers.extend(bits.map(|bits| Box::new(bits) as _));
+        buffers
+    }
+
+    /// The figures in copies of [`Self::figure_buffers`].
+    fn figures_of(&self, copies: &[Vec<u32>]) -> Figures {
+        let FigureBuffers { counts, bits } = self.model.figures();
+        let mut copies = copies.iter();
+        let partial = self.loss.partial_sums();
+        let sums = partial.and_then(|partial| {
+            Some(partial.total(bytemuck::try_cast_slice(copies.next()?).unwrap_or_default()))
+        });
+        let counts = counts.and_then(|_| copies.next().cloned());
+        let bits = bits.and_then(|_| Some(bytemuck::cast_slice(copies.next()?).to_vec()));
+        Figures { sums, counts, bits }
+    }
+
+    /// The figures of the last submitted step. Waits for the device.
+    fn read_figures(&self) -> Result<Figures> {
+        let buffers = self.figure_buffers();
+        let buffers: Vec<Binding<'_>> = buffers.iter().map(|buffer| &**buffer).collect();
+        let reading = self.device.recorder("figures").submit_reading(&buffers)?;
+        Ok(self.figures_of(&reading.wait(&self.device)?))
+    }
+
+    /// Updates averages, the estimate of the file's size, and lambda by the figures of `step`, and adds its report to the news.
+    fn take_figures(&mut self, step: u32, figures: &Figures) -> Result<()> {
+        let diverged = TrainError::Diverged { step };
+        let sums = figures.sums.filter(|sums| sums.loss().is_finite()).ok_or(diverged)?;
+        let sample = match &figures.bits {
+            Some(bits) => self.model.bitrate(step, bits)?,
+            None => None,
+        };
+        let anchors = self.model.anchors() as f64;
+        // Steps in flight began from states without these figures.
+        let later = self.flights.iter_mut().flat_map(|flight| &mut flight.before);
+        for state in std::iter::once(&mut self.state).chain(later) {
+            if let Some(BitrateSample { bits_per_anchor, other_bytes }) = sample {
+                state.observe_bits(bits_per_anchor, anchors, other_bytes);
+            }
+            state.observe_losses(&sums);
+        }
+        if let Some(BitrateSample { other_bytes, .. }) = sample
+            && let (Some(control), Some(bytes)) = (&mut self.control, self.state.file_bytes())
+        {
+            control.observe(step, bytes as f64, other_bytes);
+            self.state.set_rate_control(control);
+        }
+        let progress = self.progress(step, figures);
+        self.news.push(progress);
         Ok(())
     }
 
@@ -556,34 +715,9 @@ impl<'a> Run<'a> {
         self.loss.sums()?.filter(|sums| sums.loss().is_finite()).ok_or(diverged)
     }
 
-    /// Updates the estimate of the file's size, and lambda, from the last step's sample.
-    fn update_bitrate(&mut self) -> Result<()> {
-        let Some(BitrateSample { bits_per_anchor, other_bytes }) = self.model.bitrate(self.state.step)?
-        else {
-            return Ok(());
-        };
-        let anchors = self.model.anchors() as f64;
-        self.state.observe_bits(bits_per_anchor, anchors, other_bytes);
-        if let (Some(control), Some(bytes)) = (&mut self.control, self.state.file_bytes()) {
-            control.observe(self.state.step, bytes as f64, other_bytes);
-            self.state.set_rate_control(control);
-        }
-        Ok(())
-    }
-
-    /// The progress report, with new losses if given.
-    fn progress(&mut self, sums: Option<LossSums>) -> Result<Progress> {
-        let blend = |old: f64, new: f64| 0.9 * old + 0.1 * new;
-        if let Some(sums) = sums {
-            self.state.set_average(self.state.average().map_or(sums, |old| LossSums {
-                ssim: blend(old.ssim, sums.ssim),
-                l1: blend(old.l1, sums.l1),
-                mse: blend(old.mse, sums.mse),
-                wavelet: blend(old.wavelet, sums.wavelet),
-            }));
-        }
+    /// The progress report of `step`, whose figures these are.
+    fn progress(&mut self, step: u32, figures: &Figures) -> Progress {
         let average = self.state.average();
-        let step = self.state.step;
         let steps_per_second = |since: Instant, from: u32| {
             let seconds = since.elapsed().as_secs_f64();
             (step > from && seconds > 0.0).then(|| f64::from(step - from) / seconds)
@@ -591,9 +725,9 @@ impl<'a> Run<'a> {
         let speed = steps_per_second(self.reported.0, self.reported.1);
         let mean_speed = steps_per_second(self.started, self.first_step);
         self.reported = (Instant::now(), step);
-        let size = self.model.size()?;
+        let size = self.model.size(figures.counts.as_deref());
         self.gaussians = size.gaussians.or(self.gaussians);
-        Ok(Progress {
+        Progress {
             step: u64::from(step),
             total: u64::from(self.schedule.steps),
             elapsed_seconds: self.started.elapsed().as_secs_f64(),
@@ -606,7 +740,7 @@ impl<'a> Run<'a> {
             ssim: average.map(|average| average.ssim),
             bytes: self.state.file_bytes(),
             checkpoint_step: 0,
-        })
+        }
     }
 
     fn checkpoint(&self) -> Result<Checkpoint> {

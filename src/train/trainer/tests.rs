@@ -60,9 +60,11 @@ fn steps_are_the_same_in_batches_and_with_little_room(dataset: Dataset) {
         let (mut recorded, mut losses) = (0, Vec::new());
         while run.state.step < STEPS {
             recorded += run.advance(&mut |step| step % 9 == 8, &CancelFlag::default()).expect("steps");
-            if run.state.step.is_multiple_of(REPORT_INTERVAL) {
-                losses.push(run.sums().expect("losses"));
-            }
+            let reported = |report: Progress| {
+                let Progress { step, loss, psnr, anchors, gaussians, bytes, .. } = report;
+                (step, loss, psnr, anchors, gaussians, bytes)
+            };
+            losses.extend(run.news.drain(..).map(reported));
         }
         let Trained { scene, context, .. } = run.finish(&CancelFlag::default()).expect("a scene");
         (recorded, losses, (scene, context.expect("a context model")))
@@ -77,7 +79,7 @@ fn steps_are_the_same_in_batches_and_with_little_room(dataset: Dataset) {
 }
 
 #[test]
-fn the_estimate_of_the_files_bytes_reads_the_samples_rate_and_no_more() {
+fn the_figures_of_a_step_are_one_transfer() {
     let (device, dataset) = (lavapipe(), dataset());
     let options = TrainOptions { iterations: Some(STEPS), seed: 3, ..TrainOptions::default() };
     let budget = MemoryBudget { host: u64::MAX, gpu: u64::MAX };
@@ -86,10 +88,10 @@ fn the_estimate_of_the_files_bytes_reads_the_samples_rate_and_no_more() {
         run.advance(&mut |_| false, &CancelFlag::default()).expect("steps");
     }
     let made = device.buffers_made();
-    run.model.bitrate(run.state.step).expect("read").expect("the context model learns");
-    let of_rate = device.buffers_made() - made;
-    run.update_bitrate().expect("weighed");
-    assert_eq!(device.buffers_made() - made, 2 * of_rate);
+    let figures = run.read_figures().expect("read");
+    assert!(figures.bits.is_some(), "the context model learns");
+    run.take_figures(run.state.step, &figures).expect("weighed");
+    assert_eq!(device.buffers_made() - made, 1);
 }
 
 /// A model that has just been replaced, by anchors or by a narrower one, has rendered nothing yet.
@@ -103,7 +105,8 @@ fn every_report_counts_gaussians() {
         run.batch = Batch::Fixed(1);
         while run.state.step < STEPS {
             run.advance(&mut |_| true, &CancelFlag::default()).expect("steps");
-            let Progress { step, gaussians, .. } = run.progress(None).expect("reports");
+            let figures = run.read_figures().expect("read");
+            let Progress { step, gaussians, .. } = run.progress(run.state.step, &figures);
             assert!(gaussians > 0, "step {step}");
         }
     }

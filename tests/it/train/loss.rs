@@ -100,6 +100,7 @@ fn on(device: &Device, loss: &mut ImageLoss, pair: &Pair) -> (LossSums, Vec<[f32
     let render = device.upload("render", &render).expect("a buffer");
     let packed: Vec<u32> =
         pair.photograph.iter().map(|[r, g, b]| u32::from_le_bytes([*r, *g, *b, r ^ b])).collect();
+    let packed = device.upload("photograph", &packed).expect("a buffer");
     let mut recorder = device.recorder("loss");
     let size = [pair.size.x as u32, pair.size.y as u32];
     let gradient = loss.record(&mut recorder, size, &render, &packed, None).expect("recorded").clone();

@@ -58,6 +58,7 @@ fn on_device(
     let render = device.upload("render", &render).expect("a buffer");
     let packed: Vec<u32> =
         pair.photograph.iter().map(|[r, g, b]| u32::from_le_bytes([*r, *g, *b, r ^ b])).collect();
+    let packed = device.upload("photograph", &packed).expect("a buffer");
     let mut recorder = device.recorder("loss");
     let size = [pair.size.x as u32, pair.size.y as u32];
     let gradient = loss.record(&mut recorder, size, &render, &packed, weights).expect("recorded").clone();
