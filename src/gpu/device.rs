@@ -226,7 +226,11 @@ impl Device {
                 // An earlier wait that timed out has already set it.
                 let _ = self.faults.hung.set(waited);
             }
-            Err(fault) => return Err(GpuError::DeviceLost(fault.to_string())),
+            // A lost device may have taken a submission without running it; it stays lost.
+            Err(fault) => {
+                let mut lost = self.faults.lost.lock().unwrap_or_else(PoisonError::into_inner);
+                lost.get_or_insert_with(|| fault.to_string());
+            }
         }
         self.check()
     }
