@@ -3,7 +3,7 @@
 use glam::{DMat3, DVec3};
 
 use super::{Result, TrainError};
-use crate::domain::{Frame, Intrinsics};
+use crate::domain::{Frame, Intrinsics, Layout};
 
 /// Half the side of the published box of NeRF-synthetic sets (METHOD.md §1.1). Their cameras give it to 0.5 % by the rule below.
 const PUBLISHED_HALF_SIDE: f64 = 1.3;
@@ -11,21 +11,28 @@ const PUBLISHED_HALF_SIDE: f64 = 1.3;
 /// How far a box may be from the published one, in its half side, to be that one.
 const PUBLISHED_WITHIN: f64 = 0.02;
 
-/// Half the side of a box, in half the side of what a camera sees at the box's center.
+/// Half the side of a Blender set's box, in half the side of what a camera sees at the box's center.
 const SHARE_OF_VIEW: f64 = 0.9;
 
-/// The most of it, in median distances of the cameras from its center: wide lenses see far beyond what the cameras are turned to.
+/// Half the side of other boxes, and the most of a Blender set's, in median distances of the cameras from its center: wide lenses see far
+/// beyond what the cameras are turned to.
 const MAX_HALF_SIDE: f64 = 0.6;
 
-/// Lowest and highest corner of the box: around the point nearest to all optical axes, as large as the part that cameras at the median
-/// distance see of it. Neither position nor unit of the scene matters. Cameras of the published sets have the published box.
-pub(super) fn init_bounds(frames: &[&Frame]) -> ([f32; 3], [f32; 3]) {
+/// Lowest and highest corner of the box around the point nearest to all optical axes. In a Blender set, which has an object and no
+/// surroundings, it is as large as the part that cameras at the median distance see of it. Neither position nor unit of the scene
+/// matters. Cameras of the published sets have the published box.
+pub(super) fn init_bounds(layout: Layout, frames: &[&Frame]) -> ([f32; 3], [f32; 3]) {
     let center = nearest_to_axes(frames);
     let distance = median(frames.iter().map(|frame| frame.camera.pose.center().distance(center)).collect());
     let view = median(frames.iter().map(|frame| half_view(&frame.camera.intrinsics)).collect());
-    let half = distance * (SHARE_OF_VIEW * view).min(MAX_HALF_SIDE);
+    let half = match layout {
+        Layout::Blender => distance * (SHARE_OF_VIEW * view).min(MAX_HALF_SIDE),
+        Layout::Nerfstudio | Layout::Colmap => distance * MAX_HALF_SIDE,
+    };
     let off = PUBLISHED_WITHIN * PUBLISHED_HALF_SIDE;
-    let is_published = center.abs().max_element() <= off && (half - PUBLISHED_HALF_SIDE).abs() <= off;
+    let is_published = layout == Layout::Blender
+        && center.abs().max_element() <= off
+        && (half - PUBLISHED_HALF_SIDE).abs() <= off;
     let (center, half) = if is_published {
         (DVec3::ZERO, PUBLISHED_HALF_SIDE)
     } else if half > 0.0 {
@@ -111,11 +118,13 @@ mod tests {
                 .map(|offset| frame(target + offset, target))
                 .into();
         let frames: Vec<&Frame> = frames.iter().collect();
-        let corners = init_bounds(&frames);
-        assert!(middle(corners).distance(target) < 1e-4);
         // These lenses see half a unit to each side at distance 1.
-        let side = f64::from(corners.1[0] - corners.0[0]);
-        assert!((side - 0.9 * 26.0_f64.sqrt()).abs() < 1e-3, "{side}");
+        for (layout, half) in [(Layout::Nerfstudio, 0.6), (Layout::Colmap, 0.6), (Layout::Blender, 0.45)] {
+            let corners = init_bounds(layout, &frames);
+            assert!(middle(corners).distance(target) < 1e-4);
+            let side = f64::from(corners.1[0] - corners.0[0]);
+            assert!((side - 2.0 * half * 26.0_f64.sqrt()).abs() < 1e-3, "{side}");
+        }
     }
 
     /// A hundred views of a target from the upper half of a sphere, with the lens of the NeRF-synthetic sets.
@@ -138,7 +147,7 @@ mod tests {
     fn cameras_of_the_published_sets_have_the_published_box_and_others_its_like_in_any_unit_and_place() {
         let corners = |target: DVec3, unit: f64| {
             let frames = around(target, 4.031_128_9 * unit);
-            init_bounds(&frames.iter().collect::<Vec<_>>())
+            init_bounds(Layout::Blender, &frames.iter().collect::<Vec<_>>())
         };
         assert_eq!(corners(DVec3::ZERO, 1.0), ([-1.3; 3], [1.3; 3]));
         for unit in [0.1, 3.0, 10.0, 100.0] {
@@ -157,7 +166,7 @@ mod tests {
             let wide = Intrinsics { fx: 200.0, fy: 200.0, ..frame.camera.intrinsics };
             frame.camera = Camera::new(wide, frame.camera.pose).expect("a camera");
         }
-        let (low, high) = init_bounds(&frames.iter().collect::<Vec<_>>());
+        let (low, high) = init_bounds(Layout::Blender, &frames.iter().collect::<Vec<_>>());
         assert!((f64::from(high[0] - low[0]) - 6.0).abs() < 1e-3, "{low:?} {high:?}");
     }
 
@@ -167,7 +176,7 @@ mod tests {
             let target = DVec3::new(distance, 0.0, 0.0);
             let frames = [DVec3::X, DVec3::Y, -DVec3::X].map(|offset| frame(target + offset, target));
             let frames: Vec<&Frame> = frames.iter().collect();
-            expect_resolved(init_bounds(&frames))
+            expect_resolved(init_bounds(Layout::Nerfstudio, &frames))
         };
         assert!(at(0.0).is_ok() && at(1000.0).is_ok());
         for distance in [1e5, 1e8, 1e9] {
@@ -180,7 +189,7 @@ mod tests {
     fn parallel_axes_still_give_a_box() {
         let ahead = [frame(DVec3::ZERO, DVec3::X), frame(DVec3::Y, DVec3::new(1.0, 1.0, 0.0))];
         let frames: Vec<&Frame> = ahead.iter().collect();
-        let (low, high) = init_bounds(&frames);
+        let (low, high) = init_bounds(Layout::Colmap, &frames);
         assert!((0..3).all(|axis| low[axis].is_finite() && low[axis] < high[axis]));
         assert!(middle((low, high)).distance(DVec3::X) < 1e-5);
     }

@@ -23,7 +23,7 @@ pub(super) fn scene_extent(dataset: &Dataset, frames: &[&Frame]) -> f32 {
     let distance = match &dataset.points {
         Some(cloud) if !cloud.positions.is_empty() => typical_distance(frames, &cloud.positions),
         _ => {
-            let (low, high) = init_bounds(frames);
+            let (low, high) = init_bounds(dataset.layout, frames);
             let middle = std::array::from_fn(|axis| 0.5 * low[axis] + 0.5 * high[axis]);
             typical_distance(frames, &[middle])
         }

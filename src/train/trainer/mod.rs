@@ -169,7 +169,7 @@ impl ModelFactory<'_> {
         let cloud = match &dataset.points {
             Some(cloud) if !cloud.positions.is_empty() => Cow::Borrowed(cloud),
             _ => {
-                let (low, high) = init_bounds(frames);
+                let (low, high) = init_bounds(dataset.layout, frames);
                 expect_resolved((low, high))?;
                 let positions = random_points(rng, schedule.random_points, low, high);
                 Cow::Owned(PointCloud { positions, colors: Vec::new() })
