@@ -137,7 +137,7 @@ pub(super) async fn a_finished_job_is_reported_on_one_page(coverage: Coverage) {
     let identifiers: Vec<&str> =
         shown.flat_map(|element| element.text.split_whitespace()).filter(is_identifier).collect();
     assert!(identifiers.is_empty(), "{identifiers:?}");
-    assert!(page.contains("Figures of all 1 views"), "the summary of the table");
+    assert!(page.contains("Figures of all 2 views"), "the summary of the table");
     // What each stage costs: against floats, against rounded attributes, and the renderer against f64.
     for said in ["What each stage costs", "-0.300 dB", "-0.250 dB", "1.50e-7", "2.00e-6"] {
         assert!(page.contains(said), "'{said}' is missing");

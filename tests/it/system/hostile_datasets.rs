@@ -175,7 +175,7 @@ fn tables() -> Vec<Row> {
         ),
         (
             "a deep table",
-            with(transforms(), "transforms.json", "[".repeat(10_000)),
+            with(transforms(), "transforms.json", format!("{{\"other\": {}", "[".repeat(10_000))),
             422,
             "table-rejected",
             "transforms.json",
