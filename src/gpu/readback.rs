@@ -3,16 +3,17 @@
 //! What always holds: [`Readback::wait`] gives what the buffers held after the submission that it belongs to, and waits for that one
 //! alone.
 
-use super::{Binding, Device, GpuError, Recorder, ledger::Reservation};
+use super::{
+    Binding, Device, GpuError, Recorder,
+    staging::{PendingRead, StagingBuffer},
+};
 
 /// The copies of some buffers after a submission.
 #[derive(Debug)]
 pub struct Readback {
-    staging: wgpu::Buffer,
-    submission: wgpu::SubmissionIndex,
+    read: PendingRead,
     /// Words of each buffer.
     words: Vec<usize>,
-    _reservation: Reservation,
 }
 
 impl Recorder<'_> {
@@ -21,25 +22,17 @@ impl Recorder<'_> {
     /// # Errors
     /// As [`Recorder::submit`], and [`GpuError::OverBudget`] without room for the copies.
     pub fn submit_reading(mut self, buffers: &[Binding<'_>]) -> Result<Readback, GpuError> {
-        let device = self.device();
         let sources: Vec<&wgpu::Buffer> = buffers.iter().map(|buffer| &(*buffer).as_ref().inner).collect();
-        let size = sources.iter().map(|source| source.size()).sum::<u64>().max(wgpu::COPY_BUFFER_ALIGNMENT);
-        let reservation = device.ledger.reserve("read back", size)?;
-        let staging = device.inner.create_buffer(&wgpu::BufferDescriptor {
-            label: Some("read back"),
-            size,
-            usage: wgpu::BufferUsages::MAP_READ | wgpu::BufferUsages::COPY_DST,
-            mapped_at_creation: false,
-        });
+        let bytes = sources.iter().map(|source| source.size()).sum::<u64>();
+        let staging = StagingBuffer::new(self.device(), bytes.max(wgpu::COPY_BUFFER_ALIGNMENT))?;
         let mut start = 0;
         for source in &sources {
-            self.outside().copy_buffer_to_buffer(source, 0, &staging, start, source.size());
+            self.outside().copy_buffer_to_buffer(source, 0, staging.raw(), start, source.size());
             start += source.size();
         }
         let words = sources.iter().map(|source| source.size() as usize / 4).collect();
-        let submission = self.submit_indexed()?;
-        staging.slice(..).map_async(wgpu::MapMode::Read, |_| ());
-        Ok(Readback { staging, submission, words, _reservation: reservation })
+        let read = PendingRead::after(self.submit_indexed()?, staging, bytes as usize);
+        Ok(Readback { read, words })
     }
 }
 
@@ -49,21 +42,16 @@ impl Readback {
     /// # Errors
     /// As [`Device::check`].
     pub fn wait(self, device: &Device) -> Result<Vec<Vec<u32>>, GpuError> {
-        device.wait_for(self.submission)?;
-        let unreadable = |fault: String| GpuError::Rejected(format!("mapping for reading: {fault}"));
-        let view =
-            self.staging.slice(..).get_mapped_range().map_err(|fault| unreadable(fault.to_string()))?;
-        let all: &[u32] = bytemuck::try_cast_slice(&view).map_err(|fault| unreadable(fault.to_string()))?;
-        let mut rest = all;
-        Ok(self
-            .words
-            .iter()
-            .map(|words| {
+        let Self { read, words } = self;
+        let split = |mut rest: &[u32]| {
+            let next = |words: &usize| {
                 let (buffer, others) = rest.split_at(*words);
                 rest = others;
                 buffer.to_vec()
-            })
-            .collect())
+            };
+            words.iter().map(next).collect()
+        };
+        read.finish(device, split).map(|(buffers, _)| buffers)
     }
 }
 

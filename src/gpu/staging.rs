@@ -1,23 +1,83 @@
 //! Reads buffers back, through new staging buffers or a ring of kept ones: a new one of a view's size costs as much as its transfer.
+//!
+//! Invariants: a read gives what its submission copied and waits for that submission alone; a staging buffer whose read failed or was
+//! dropped is freed, not kept.
 
 use std::ops::Range;
 
 use super::{Buffer, Device, GpuError, ledger::Reservation};
 
-/// Staging buffers that are kept from one reading to the next of the same size: one for each reading that is under way at a time.
-#[derive(Debug, Default)]
-pub struct Staging {
-    kept: Vec<(wgpu::Buffer, Reservation)>,
+/// A buffer that the host maps to read copies of others.
+#[derive(Debug)]
+pub(super) struct StagingBuffer {
+    inner: wgpu::Buffer,
+    _reservation: Reservation,
 }
 
-/// A reading that was submitted. Dropped unfinished, it frees its staging buffer.
+/// A read whose copy was submitted. Dropped unfinished, it frees its staging buffer.
 #[derive(Debug)]
 pub struct PendingRead {
-    staging: wgpu::Buffer,
-    reservation: Reservation,
+    staging: StagingBuffer,
     submission: wgpu::SubmissionIndex,
     /// Without alignment.
     bytes: usize,
+}
+
+/// Staging buffers that are kept from one read to the next of the same size: one for each read that is under way at a time.
+#[derive(Debug, Default)]
+pub struct Staging {
+    kept: Vec<StagingBuffer>,
+}
+
+impl StagingBuffer {
+    /// # Errors
+    /// [`GpuError::OverBudget`] without room for it.
+    pub(super) fn new(device: &Device, bytes: u64) -> Result<Self, GpuError> {
+        let reservation = device.ledger.reserve("read back", bytes)?;
+        let inner = device.inner.create_buffer(&wgpu::BufferDescriptor {
+            label: Some("read back"),
+            size: bytes,
+            usage: wgpu::BufferUsages::MAP_READ | wgpu::BufferUsages::COPY_DST,
+            mapped_at_creation: false,
+        });
+        Ok(Self { inner, _reservation: reservation })
+    }
+
+    /// The target of copies.
+    pub(super) fn raw(&self) -> &wgpu::Buffer {
+        &self.inner
+    }
+}
+
+impl PendingRead {
+    /// The read of the first `bytes` bytes of `staging` after `submission`, which copies into it.
+    pub(super) fn after(submission: wgpu::SubmissionIndex, staging: StagingBuffer, bytes: usize) -> Self {
+        staging.inner.slice(..).map_async(wgpu::MapMode::Read, |_| ());
+        Self { staging, submission, bytes }
+    }
+
+    /// Waits for the submission, passes the elements to `take`, and returns its result and the staging buffer, which is not mapped.
+    /// Later work may go on meanwhile.
+    ///
+    /// # Errors
+    /// As [`Device::check`], and [`GpuError::Rejected`] if the copy was refused, such as one beyond a buffer's end.
+    pub(super) fn finish<T: bytemuck::Pod, R>(
+        self,
+        device: &Device,
+        take: impl FnOnce(&[T]) -> R,
+    ) -> Result<(R, StagingBuffer), GpuError> {
+        let Self { staging, submission, bytes } = self;
+        device.wait_for(submission)?;
+        let unreadable = |fault: String| GpuError::Rejected(format!("mapping for reading: {fault}"));
+        let view =
+            staging.inner.slice(..).get_mapped_range().map_err(|fault| unreadable(fault.to_string()))?;
+        let elements =
+            bytemuck::try_cast_slice(&view[..bytes]).map_err(|fault| unreadable(fault.to_string()))?;
+        let taken = take(elements);
+        drop(view);
+        staging.inner.unmap();
+        Ok((taken, staging))
+    }
 }
 
 impl Staging {
@@ -35,19 +95,18 @@ impl Staging {
         let size = size_of::<T>();
         let bytes = range.len() * size;
         let aligned = (bytes as u64).next_multiple_of(wgpu::COPY_BUFFER_ALIGNMENT);
-        self.kept.retain(|(staging, _)| staging.size() == aligned);
-        let (staging, reservation) = match self.kept.pop() {
+        self.kept.retain(|staging| staging.inner.size() == aligned);
+        let staging = match self.kept.pop() {
             Some(kept) => kept,
-            None => new_staging(device, aligned)?,
+            None => StagingBuffer::new(device, aligned)?,
         };
         let mut encoder = device.inner.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
-        encoder.copy_buffer_to_buffer(buffer.raw(), (range.start * size) as u64, &staging, 0, aligned);
+        encoder.copy_buffer_to_buffer(buffer.raw(), (range.start * size) as u64, staging.raw(), 0, aligned);
         let submission = device.queue.submit([encoder.finish()]);
-        staging.slice(..).map_async(wgpu::MapMode::Read, |_| ());
-        Ok(PendingRead { staging, reservation, submission, bytes })
+        Ok(PendingRead::after(submission, staging, bytes))
     }
 
-    /// Waits for a reading of this ring and passes its elements to `take`. Later work may go on meanwhile.
+    /// Waits for a read of this ring and passes its elements to `take`. Later work may go on meanwhile.
     ///
     /// # Errors
     /// As [`Device::check`], and [`GpuError::Rejected`] for a range beyond the buffer, such as a count that a faulty device has
@@ -58,17 +117,8 @@ impl Staging {
         read: PendingRead,
         take: impl FnOnce(&[T]) -> R,
     ) -> Result<R, GpuError> {
-        let PendingRead { staging, reservation, submission, bytes } = read;
-        device.wait_for(submission)?;
-        // A reading that fails does not keep its buffer, which may be mapped or about to be.
-        let unreadable = |fault: String| GpuError::Rejected(format!("mapping for reading: {fault}"));
-        let view = staging.slice(..).get_mapped_range().map_err(|fault| unreadable(fault.to_string()))?;
-        let elements =
-            bytemuck::try_cast_slice(&view[..bytes]).map_err(|fault| unreadable(fault.to_string()))?;
-        let taken = take(elements);
-        drop(view);
-        staging.unmap();
-        self.kept.push((staging, reservation));
+        let (taken, staging) = read.finish(device, take)?;
+        self.kept.push(staging);
         Ok(taken)
     }
 
@@ -113,17 +163,6 @@ impl Device {
     ) -> Result<Vec<T>, GpuError> {
         Staging::default().read(self, buffer, start..start + count, <[T]>::to_vec)
     }
-}
-
-fn new_staging(device: &Device, bytes: u64) -> Result<(wgpu::Buffer, Reservation), GpuError> {
-    let reservation = device.ledger.reserve("read back", bytes)?;
-    let staging = device.inner.create_buffer(&wgpu::BufferDescriptor {
-        label: Some("read back"),
-        size: bytes,
-        usage: wgpu::BufferUsages::MAP_READ | wgpu::BufferUsages::COPY_DST,
-        mapped_at_creation: false,
-    });
-    Ok((staging, reservation))
 }
 
 #[cfg(test)]
