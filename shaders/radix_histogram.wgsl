@@ -1,17 +1,5 @@
 // Counts the digits of each block of keys: counters[digit][block]. Counts do not depend on the order of the additions.
-
-struct SortParams {
-    // Blocks that the counters have room for.
-    runs: u32,
-    count_index: u32,
-    capacity: u32,
-    shift: u32,
-    digits: u32,
-}
-
-const LANES: u32 = 256u;
-const KEYS: u32 = 8u;
-const BLOCK: u32 = LANES * KEYS;
+#import tcgs::blocks::{SortParams, LANES, ITEMS, BLOCK, block_of, blocks_of}
 
 @group(0) @binding(0) var<uniform> params: SortParams;
 @group(0) @binding(1) var<storage, read> counts: array<u32>;
@@ -23,7 +11,7 @@ var<workgroup> bins: array<atomic<u32>, LANES>;
 @compute @workgroup_size(LANES)
 fn radix_histogram(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) lane: u32) {
     let count = min(counts[params.count_index], params.capacity);
-    let block = group.x + group.y * 65535u;
+    let block = block_of(group);
     let first = block * BLOCK;
     // Uniform: all invocations of a workgroup return here or none.
     if first >= count {
@@ -31,7 +19,7 @@ fn radix_histogram(@builtin(workgroup_id) group: vec3u, @builtin(local_invocatio
     }
     atomicStore(&bins[lane], 0u);
     workgroupBarrier();
-    for (var k = 0u; k < KEYS; k++) {
+    for (var k = 0u; k < ITEMS; k++) {
         let i = first + k * LANES + lane;
         if i < count {
             atomicAdd(&bins[(keys[i] >> params.shift) & (params.digits - 1u)], 1u);
@@ -39,7 +27,6 @@ fn radix_histogram(@builtin(workgroup_id) group: vec3u, @builtin(local_invocatio
     }
     workgroupBarrier();
     if lane < params.digits {
-        let blocks = (count + BLOCK - 1u) / BLOCK;
-        counters[lane * blocks + block] = atomicLoad(&bins[lane]);
+        counters[lane * blocks_of(count) + block] = atomicLoad(&bins[lane]);
     }
 }

@@ -2,18 +2,7 @@
 //
 // A workgroup first sorts its block by the digit in workgroup memory, two bits at a time, each by a scan over the lanes. Then
 // neighbouring lanes write to neighbouring places.
-
-struct SortParams {
-    runs: u32,
-    count_index: u32,
-    capacity: u32,
-    shift: u32,
-    digits: u32,
-}
-
-const LANES: u32 = 256u;
-const KEYS: u32 = 8u;
-const BLOCK: u32 = LANES * KEYS;
+#import tcgs::blocks::{SortParams, LANES, ITEMS, BLOCK, block_of, blocks_of, lane_sums, sum_of_lanes}
 
 @group(0) @binding(0) var<uniform> params: SortParams;
 @group(0) @binding(1) var<storage, read> counts: array<u32>;
@@ -24,31 +13,14 @@ const BLOCK: u32 = LANES * KEYS;
 @group(0) @binding(6) var<storage, read_write> sorted_keys: array<u32>;
 @group(0) @binding(7) var<storage, read_write> sorted_values: array<u32>;
 
-// The block's items: the digit in the upper half of the word, the position in the block in the lower. One word after every KEYS
-// is unused, so that lanes that read KEYS items each use different banks.
-var<workgroup> items: array<u32, LANES * (KEYS + 1u)>;
-// Two copies, written in turns, so that each step of a scan needs one barrier.
-var<workgroup> sums: array<vec2u, 2u * LANES>;
+// The block's items: the digit in the upper half of the word, the position in the block in the lower. One word after every ITEMS
+// is unused, so that lanes that read ITEMS items each use different banks.
+var<workgroup> items: array<u32, LANES * (ITEMS + 1u)>;
 // Of each digit: the place of its first key, less that key's position in the sorted block.
 var<workgroup> shifts: array<u32, LANES>;
 
 fn word(position: u32) -> u32 {
-    return position + position / KEYS;
-}
-
-// Inclusive sums over the lanes. A barrier must lie between two calls.
-fn scan(lane: u32, own: vec2u) -> vec2u {
-    var sum = own;
-    var copy = 0u;
-    for (var reach = 1u; reach < LANES; reach *= 2u) {
-        sums[copy + lane] = sum;
-        workgroupBarrier();
-        if lane >= reach {
-            sum += sums[copy + lane - reach];
-        }
-        copy = LANES - copy;
-    }
-    return sum;
+    return position + position / ITEMS;
 }
 
 // Exclusive sums of four numbers.
@@ -59,15 +31,15 @@ fn exclusive(values: vec4u) -> vec4u {
 @compute @workgroup_size(LANES)
 fn radix_scatter(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) lane: u32) {
     let count = min(counts[params.count_index], params.capacity);
-    let block = group.x + group.y * 65535u;
+    let block = block_of(group);
     let first = block * BLOCK;
     // Uniform: all invocations of a workgroup return here or none.
     if first >= count {
         return;
     }
     let within = min(count - first, BLOCK);
-    let blocks = (count + BLOCK - 1u) / BLOCK;
-    for (var k = 0u; k < KEYS; k++) {
+    let blocks = blocks_of(count);
+    for (var k = 0u; k < ITEMS; k++) {
         let i = k * LANES + lane;
         // What is behind the last key has the largest digit and so stays behind it.
         var digit = params.digits - 1u;
@@ -80,8 +52,8 @@ fn radix_scatter(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_
     if lane < params.digits {
         total = totals[lane];
     }
-    let place = scan(lane, vec2u(total, 0u)).x - total;
-    let base = lane * (KEYS + 1u);
+    let place = lane_sums(lane, vec2u(total, 0u)).x - total;
+    let base = lane * (ITEMS + 1u);
     for (var bit = 0u; params.digits >> bit > 1u; bit += 2u) {
         workgroupBarrier();
         let a = vec4u(items[base], items[base + 1u], items[base + 2u], items[base + 3u]);
@@ -96,13 +68,8 @@ fn radix_scatter(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_
         let bytes = before_b.w + one_b.w;
         // Counts of the values 0 and 2, and of 1 and 3, 16 bits each.
         let own = vec2u(bytes, bytes >> 8u) & vec2u(0x00ff00ffu);
-        let sum = scan(lane, own);
-        // The last lane's sums are the totals.
-        if lane == LANES - 1u {
-            sums[0] = sum;
-        }
-        workgroupBarrier();
-        let all = sums[0];
+        let sum = lane_sums(lane, own);
+        let all = sum_of_lanes();
         let zeros = all.x & 0xffffu;
         let ones = all.y & 0xffffu;
         let twos = all.x >> 16u;
@@ -125,7 +92,7 @@ fn radix_scatter(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_
         shifts[lane] = place + counters[lane * blocks + block];
     }
     workgroupBarrier();
-    for (var k = 0u; k < KEYS; k++) {
+    for (var k = 0u; k < ITEMS; k++) {
         let position = k * LANES + lane;
         let digit = items[word(position)] >> 16u;
         if position > 0u && items[word(position - 1u)] >> 16u != digit {
@@ -133,7 +100,7 @@ fn radix_scatter(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_
         }
     }
     workgroupBarrier();
-    for (var k = 0u; k < KEYS; k++) {
+    for (var k = 0u; k < ITEMS; k++) {
         let position = k * LANES + lane;
         if position < within {
             let item = items[word(position)];

@@ -49,4 +49,4 @@ pub use staging::{PendingRead, Staging};
 pub(crate) use subgroups::MIN_LANES;
 pub use subgroups::Subgroups;
 pub use timing::KernelTime;
-pub use variant::KernelVariant;
+pub use variant::{BLOCK, KernelVariant};

@@ -5,16 +5,7 @@
 
 use std::sync::Arc;
 
-use super::{AdapterReport, Buffer, Kernel, KernelVariant, Plan, Recorder, kernel_source, planned};
-
-#[repr(C)]
-#[derive(Debug, Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]
-struct ScanParams {
-    runs: u32,
-    count_index: u32,
-    capacity: u32,
-    total_index: u32,
-}
+use super::{AdapterReport, BLOCK, Buffer, Kernel, KernelVariant, Plan, Recorder, kernel_source, planned};
 
 /// Which elements hold the count and receive the total.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -24,9 +15,6 @@ pub struct ScanSlots {
     /// Element of the totals buffer that receives their saturating sum.
     pub total: u32,
 }
-
-/// Values of a block of the hardware's kernels: 256 lanes of eight.
-const BLOCK: usize = 2048;
 
 /// Runs of the software's kernels, one invocation each.
 const RUNS: u32 = 512;
@@ -58,7 +46,8 @@ impl Kernels {
 #[derive(Debug)]
 pub struct Scan {
     kernels: Kernels,
-    params: Buffer<ScanParams>,
+    /// `ScanParams` of the variant's kernels.
+    params: Buffer<[u32; 4]>,
     partials: Buffer<u32>,
     groups: u32,
 }
@@ -69,13 +58,11 @@ impl Scan {
     pub fn plan(adapter: &AdapterReport, capacity: usize, slots: ScanSlots) -> Plan<'static, Self> {
         let capacity_u32 = u32::try_from(capacity).unwrap_or(u32::MAX);
         let blocks = capacity_u32.div_ceil(BLOCK as u32).max(1);
-        let (runs, groups, partials) = adapter.variant.choose(
-            (RUNS, RUNS.div_ceil(32), RUNS as usize),
-            // The first is the number of values.
-            (blocks, blocks, 1 + blocks as usize),
+        let (params, groups, partials) = adapter.variant.choose(
+            ([RUNS, slots.count, capacity_u32, slots.total], RUNS.div_ceil(32), RUNS as usize),
+            // The first partial sum is the number of values.
+            ([slots.count, capacity_u32, slots.total, 0], blocks, 1 + blocks as usize),
         );
-        let params =
-            ScanParams { runs, count_index: slots.count, capacity: capacity_u32, total_index: slots.total };
         planned!(Self {
             kernels: Kernels::plan(adapter.variant),
             params: Plan::upload("scan params", vec![params]),

@@ -9,22 +9,20 @@
 
 use std::sync::Arc;
 
-use bytemuck::Zeroable;
-
 use super::{
-    AdapterReport, Binding, Buffer, Device, GpuError, Kernel, KernelSource, KernelVariant, Plan, Recorder,
-    kernel_source, planned,
+    AdapterReport, BLOCK, Binding, Buffer, Device, GpuError, Kernel, KernelSource, KernelVariant, Plan,
+    Recorder, kernel_source, planned,
 };
 
-#[repr(C)]
-#[derive(Debug, Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]
+/// Parameters of a pass.
+#[derive(Debug, Clone, Copy, Default)]
 struct SortParams {
-    runs: u32,
+    /// Runs of the software's kernels; hardware derives its blocks from the count.
+    runs: Option<u32>,
     count_index: u32,
     capacity: u32,
     shift: u32,
     digits: u32,
-    unused: [u32; 3],
 }
 
 /// Keys with the values that they carry.
@@ -52,11 +50,8 @@ impl Pairs {
 struct DigitPasses {
     bits: u32,
     /// Of each pass, its uniform and its digits.
-    params: Vec<(Buffer<SortParams>, u32)>,
+    params: Vec<(Buffer<u32>, u32)>,
 }
-
-/// Keys of a block of the hardware's kernels: 256 lanes of eight.
-const BLOCK: usize = 2048;
 
 /// How a variant's kernels divide the keys.
 #[derive(Debug, Clone, Copy)]
@@ -111,13 +106,26 @@ impl Division {
 }
 
 impl SortParams {
+    /// The division's part of the parameters.
+    fn of(adapter: &AdapterReport, division: Division) -> Self {
+        Self { runs: adapter.variant.choose(Some(division.parts), None), ..Self::default() }
+    }
+
+    /// `SortParams` as the kernels of the variant read it, padded to a multiple of 16 bytes.
+    fn words(self) -> Vec<u32> {
+        let mut words: Vec<u32> = self.runs.into_iter().collect();
+        words.extend([self.count_index, self.capacity, self.shift, self.digits]);
+        words.resize(words.len().next_multiple_of(4), 0);
+        words
+    }
+
     /// Plans the passes of a sort by the lowest `bits` bits.
     fn passes(self, widest: u32, bits: u32) -> Plan<'static, DigitPasses> {
         let mut shift = 0;
         let params = widths(bits.min(32), widest).into_iter().map(|width| {
             let params = Self { shift, digits: 1 << width, ..self };
             shift += width;
-            Plan::upload("sort params", vec![params]).map(move |buffer| (buffer, params.digits))
+            Plan::upload("sort params", params.words()).map(move |buffer| (buffer, params.digits))
         });
         Plan::all(params).map(move |params| DigitPasses { bits, params })
     }
@@ -140,12 +148,9 @@ impl RadixSort {
     ) -> Plan<'static, Self> {
         let division = Division::of(adapter, capacity);
         let sort = SortParams {
-            runs: division.parts,
-            count_index,
             capacity: u32::try_from(capacity).unwrap_or(u32::MAX),
-            shift: 0,
-            digits: 0,
-            unused: [0; 3],
+            count_index,
+            ..SortParams::of(adapter, division)
         };
         let [count, offsets, scatter] = Division::kernels(adapter);
         planned!(Self {
@@ -163,7 +168,8 @@ impl RadixSort {
     /// Bytes on the device that [`RadixSort::set_bits`] adds for a new number of bits.
     #[must_use]
     pub fn pass_bytes(adapter: &AdapterReport, bits: u32) -> u64 {
-        SortParams::zeroed().passes(Division::of(adapter, 0).widest, bits).bytes()
+        let division = Division::of(adapter, 0);
+        SortParams::of(adapter, division).passes(division.widest, bits).bytes()
     }
 
     /// Sorts by another number of bits from the next recording on.

@@ -1,5 +1,7 @@
 //! CPU twins of the primitives: the kernels must reproduce them bit for bit.
 
+use super::BLOCK;
+
 /// Exclusive saturating prefix sums, and the total.
 #[must_use]
 pub fn scan(values: &[u32]) -> (Vec<u32>, u32) {
@@ -110,9 +112,6 @@ pub fn sort_scatter(
     }
     sorted
 }
-
-/// Elements of a block of the hardware's kernels.
-pub const BLOCK: usize = 2048;
 
 /// The number of values, then the saturating sum of each block.
 #[must_use]

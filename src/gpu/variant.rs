@@ -12,6 +12,9 @@ pub enum KernelVariant {
     Hardware,
 }
 
+/// Consecutive elements that the hardware's kernels give to a workgroup, as in `shaders/shared/blocks.wgsl`: 256 lanes of eight.
+pub const BLOCK: usize = 2048;
+
 impl KernelVariant {
     /// Shader definitions of every kernel on a device of this variant.
     pub(super) fn defs(self) -> &'static [(&'static str, u32)] {

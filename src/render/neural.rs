@@ -14,7 +14,9 @@ use super::{
 };
 use crate::{
     domain::{Camera, SceneScale},
-    gpu::{AdapterReport, Buffer, Device, Kernel, KernelVariant, Plan, Recorder, kernel_source, planned},
+    gpu::{
+        AdapterReport, BLOCK, Buffer, Device, Kernel, KernelVariant, Plan, Recorder, kernel_source, planned,
+    },
     model::{NetworkLayout, Shape},
 };
 
@@ -69,9 +71,6 @@ impl Kernels {
         })
     }
 }
-
-/// Anchors of a block of the hardware's kernels: 256 lanes of eight.
-const BLOCK: usize = 2048;
 
 /// The kernels that list the visible anchors.
 #[derive(Debug)]

@@ -33,6 +33,7 @@ pub use kernel_source;
 /// Files that kernels import, by the path in their `#define_import_path` line, in dependency order.
 const SHARED: &[(&str, &str)] = &[
     ("spread", include_str!("../../../shaders/shared/spread.wgsl")),
+    ("blocks", include_str!("../../../shaders/shared/blocks.wgsl")),
     ("runs", include_str!("../../../shaders/shared/runs.wgsl")),
     ("view", include_str!("../../../shaders/shared/view.wgsl")),
     ("splat", include_str!("../../../shaders/shared/splat.wgsl")),

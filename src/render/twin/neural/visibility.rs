@@ -5,7 +5,7 @@ use glam::{DVec2, DVec3};
 use super::{Gaussian, LIMIT, Projection};
 use crate::{
     domain::SceneScale,
-    gpu::twin::{BLOCK, scan},
+    gpu::{BLOCK, twin::scan},
     model::Shape,
     render::twin::SplatGradient,
 };

@@ -5,7 +5,7 @@ use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 use tcgs::{
     domain::{Camera, Intrinsics, Lattice, Pose, SceneScale},
-    gpu::{kernel_source, twin::BLOCK},
+    gpu::{BLOCK, kernel_source},
     model::{AnchorRows, NetworkLayout},
     render::{
         AnchorGradients, DeviceAnchors, NeuralGaussians, Projection, RasterSettings, RenderError,
