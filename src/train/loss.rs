@@ -1,22 +1,36 @@
 //! The image loss on the device: 0.8 L1 + 0.2 (1 - SSIM) (METHOD.md §2.4) and, where asked for, the wavelet constraint;
 //! with its gradient.
+//!
+//! Software adapters go along rows and columns in long runs, with the window's first half in memory. Hardware gives each workgroup
+//! a tile, whose two halves of the window stay in workgroup memory; the derivatives of SSIM are the only field in memory.
 
 use std::sync::Arc;
 
 use super::WaveletWeights;
 use crate::gpu::{
-    AdapterReport, Buffer, Device, GpuError, Kernel, Plan, Recorder, buffer_bytes, kernel_source, planned,
+    AdapterReport, Binding, Buffer, Device, GpuError, Kernel, KernelVariant, Plan, Recorder, buffer_bytes,
+    kernel_source, planned,
 };
 
 /// Weight of the SSIM part; L1 has the rest.
 const SSIM_WEIGHT: f64 = 0.2;
 
-/// Shares that one partial sum covers, as in `shaders/sum_losses.wgsl`.
-const SUM_RUN: usize = 4096;
+/// Shares that one partial sum covers on software adapters and on hardware, as in `shaders/sum_losses.wgsl`.
+const SUM_RUN: [usize; 2] = [4096, 512];
 
 /// Columns in a block of a field, and what its rows are a multiple of, as in `shaders/shared/ssim.wgsl`.
 const BLOCK: usize = 8;
 const STRIDE: usize = 4;
+
+/// Pixels in line that an invocation of the software's kernels makes. It reads up to ten pixels before and after them, so long runs
+/// repeat less work.
+const RUN: u32 = 256;
+
+/// Side of a tile of the hardware's kernels, as in `shaders/shared/ssim_tile.wgsl`.
+const TILE: u32 = 16;
+
+/// Derivatives of SSIM that the hardware's kernels store for a sample.
+const DERIVATIVES: usize = 3;
 
 /// Channels of an image.
 const CHANNELS: u32 = 3;
@@ -58,18 +72,70 @@ impl ConstraintUniform {
 
 #[derive(Debug)]
 struct Kernels {
-    rows: Arc<Kernel>,
-    columns: Arc<Kernel>,
-    gradient: Arc<Kernel>,
+    image: ImageKernels,
     wavelet: Arc<Kernel>,
     sums: Arc<Kernel>,
+}
+
+/// The kernels of L1, SSIM and their gradient.
+#[derive(Debug)]
+enum ImageKernels {
+    Software { rows: Arc<Kernel>, columns: Arc<Kernel>, gradient: Arc<Kernel> },
+    Hardware { tiles: Arc<Kernel>, gradient: Arc<Kernel> },
+}
+
+impl ImageKernels {
+    fn new(device: &Device) -> Result<Self, GpuError> {
+        let kernel = |source| device.kernel(source, &[]);
+        Ok(match device.variant() {
+            KernelVariant::Software => Self::Software {
+                rows: kernel(kernel_source!("ssim_rows"))?,
+                columns: kernel(kernel_source!("ssim_columns"))?,
+                gradient: kernel(kernel_source!("image_gradient"))?,
+            },
+            KernelVariant::Hardware => Self::Hardware {
+                tiles: kernel(kernel_source!("ssim_tiles"))?,
+                gradient: kernel(kernel_source!("image_gradient_tiles"))?,
+            },
+        })
+    }
+
+    /// Records the losses and the gradient of the channels that `uniform` names.
+    fn record(
+        &self,
+        recorder: &mut Recorder<'_>,
+        uniform: &Buffer<ImageUniform>,
+        [render, photograph]: [Binding<'_>; 2],
+        fields: &Fields,
+    ) {
+        let Fields { division, moments, derivatives, losses, gradient: d_image, .. } = fields;
+        match self {
+            Self::Software { rows, columns, gradient } => {
+                let [by_rows, by_columns] = [division.by_rows(), division.by_columns()]
+                    .map(|invocations| (division.channels * invocations).div_ceil(64));
+                recorder.dispatch(rows, &[uniform, render, photograph, moments], by_rows);
+                recorder.dispatch(columns, &[uniform, moments, derivatives, losses], by_columns);
+                recorder.dispatch(
+                    gradient,
+                    &[uniform, render, photograph, derivatives, losses, d_image],
+                    by_rows,
+                );
+            }
+            Self::Hardware { tiles, gradient } => {
+                let groups = division.tiles();
+                recorder.dispatch(tiles, &[uniform, render, photograph, derivatives, losses], groups);
+                recorder.dispatch(gradient, &[uniform, render, photograph, derivatives, d_image], groups);
+            }
+        }
+    }
 }
 
 /// How an image is divided among invocations.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 struct Division {
     size: [u32; 2],
-    /// Pixels in line that an invocation makes; a multiple of `STRIDE`.
+    variant: KernelVariant,
+    /// Pixels in line that an invocation of the software's kernels makes; a multiple of `STRIDE`.
     run: u32,
     /// Channels at a time.
     channels: u32,
@@ -78,8 +144,8 @@ struct Division {
 impl Division {
     /// All channels at a time where the adapter binds their fields, or else one, whose bits do not depend on the others.
     fn of(size: [u32; 2], run: u32, adapter: &AdapterReport) -> Self {
-        let whole = Self { size, run, channels: CHANNELS };
-        let fits = buffer_bytes::<[f32; 4]>(whole.field()) <= binding_limit(adapter);
+        let whole = Self { size, variant: adapter.variant, run, channels: CHANNELS };
+        let fits = buffer_bytes::<[f32; 4]>(whole.derivatives()) <= binding_limit(adapter);
         if fits { whole } else { Self { channels: 1, ..whole } }
     }
 
@@ -98,9 +164,14 @@ impl Division {
         self.size[0].div_ceil(4) * self.size[1].div_ceil(4)
     }
 
-    /// Each invocation's share of the losses that are always there.
+    /// Tiles of the hardware's kernels.
+    fn tiles(self) -> u32 {
+        self.size[0].div_ceil(TILE) * self.size[1].div_ceil(TILE)
+    }
+
+    /// Shares of the losses that are always there: one for each invocation, or for each tile.
     fn shares(self) -> u32 {
-        CHANNELS * (self.by_columns() + self.by_rows())
+        CHANNELS * self.variant.choose(self.by_columns() + self.by_rows(), self.tiles())
     }
 
     fn max_shares(self) -> usize {
@@ -109,17 +180,25 @@ impl Division {
 
     /// Partial sums of the losses.
     fn sums(self) -> usize {
-        self.max_shares().div_ceil(SUM_RUN)
+        let [software, hardware] = SUM_RUN;
+        self.max_shares().div_ceil(self.variant.choose(software, hardware))
     }
 
     fn pixels(self) -> usize {
         self.size[0] as usize * self.size[1] as usize
     }
 
-    /// Elements of a field.
-    fn field(self) -> usize {
+    /// Elements of the moments' sums along rows.
+    fn moments(self) -> usize {
         let [width, height] = self.size.map(|side| side as usize);
-        self.channels as usize * width.next_multiple_of(BLOCK) * height.next_multiple_of(STRIDE)
+        let padded = width.next_multiple_of(BLOCK) * height.next_multiple_of(STRIDE);
+        self.variant.choose(self.channels as usize * padded, 0)
+    }
+
+    /// Elements of the derivatives of SSIM.
+    fn derivatives(self) -> usize {
+        let values = DERIVATIVES * self.channels as usize * self.pixels();
+        self.variant.choose(self.moments(), values.div_ceil(4))
     }
 }
 
@@ -142,14 +221,14 @@ struct Fields {
 impl Fields {
     /// Plans the buffers of images of one size; those of `old` with enough memory are kept.
     fn plan(division: Division, old: Option<&Self>) -> Plan<'_, Self> {
-        let (pixels, field) = (division.pixels(), division.field());
+        let (moments, derivatives) = (division.moments(), division.derivatives());
         planned!(Self {
             division: Plan::value(division),
-            moments: Plan::resized("SSIM moments", field, old.map(|old| &old.moments)),
-            derivatives: Plan::resized("SSIM derivatives", field, old.map(|old| &old.derivatives)),
+            moments: Plan::resized("SSIM moments", moments, old.map(|old| &old.moments)),
+            derivatives: Plan::resized("SSIM derivatives", derivatives, old.map(|old| &old.derivatives)),
             losses: Plan::resized("losses", division.max_shares(), old.map(|old| &old.losses)),
             sums: Plan::resized("loss sums", division.sums(), old.map(|old| &old.sums)),
-            gradient: Plan::resized("image gradient", pixels, old.map(|old| &old.gradient)),
+            gradient: Plan::resized("image gradient", division.pixels(), old.map(|old| &old.gradient)),
         })
     }
 }
@@ -213,35 +292,27 @@ pub struct ImageLoss {
 impl ImageLoss {
     /// Prepares the kernels.
     pub fn new(device: Arc<Device>) -> Result<Self, GpuError> {
-        let run = Self::run(device.adapter());
-        Self::with_run(device, run)
+        Self::with_run(device, RUN)
     }
 
-    /// As [`ImageLoss::new`], with invocations that make `run` pixels in line, a multiple of 4.
+    /// As [`ImageLoss::new`], with invocations of the software's kernels that make `run` pixels in line, a multiple of 4.
     pub fn with_run(device: Arc<Device>, run: u32) -> Result<Self, GpuError> {
         let kernels = Kernels {
-            rows: device.kernel(kernel_source!("ssim_rows"), &[])?,
-            columns: device.kernel(kernel_source!("ssim_columns"), &[])?,
-            gradient: device.kernel(kernel_source!("image_gradient"), &[])?,
+            image: ImageKernels::new(&device)?,
             wavelet: device.kernel(kernel_source!("wavelet"), &[])?,
             sums: device.kernel(kernel_source!("sum_losses"), &[])?,
         };
         Ok(Self { device, kernels, run, fields: None })
     }
 
-    /// A run is made with what lies up to ten pixels before and after it, so long ones repeat less work; hardware wants many
-    /// invocations.
-    fn run(adapter: &AdapterReport) -> u32 {
-        adapter.variant.choose(256, 16)
-    }
-
     /// Bytes on the device once images of up to `size` were compared, at most.
     #[must_use]
     pub fn bytes(adapter: &AdapterReport, size: [u32; 2]) -> u64 {
-        let division = Division::of(size, Self::run(adapter), adapter);
+        let division = Division::of(size, RUN, adapter);
         let fields = Fields::plan(division, None).bytes();
         // Smaller images whose channels go at once may have larger fields.
-        let smaller = if division.channels < CHANNELS { 2 * binding_limit(adapter) } else { 0 };
+        let large = adapter.variant.choose(2, 1) * binding_limit(adapter);
+        let smaller = if division.channels < CHANNELS { large } else { 0 };
         buffer_bytes::<ImageUniform>(1) + buffer_bytes::<ConstraintUniform>(1) + fields.max(smaller)
     }
 
@@ -269,20 +340,8 @@ impl ImageLoss {
         };
         let first_channels = (0..CHANNELS).step_by(division.channels as usize);
         let uniforms = first_channels.map(uniform).collect::<Result<Vec<_>, _>>()?;
-        let [by_rows, by_columns] = [division.by_rows(), division.by_columns()]
-            .map(|invocations| (division.channels * invocations).div_ceil(64));
         for uniform in &uniforms {
-            recorder.dispatch(&self.kernels.rows, &[uniform, render, photograph, &fields.moments], by_rows);
-            recorder.dispatch(
-                &self.kernels.columns,
-                &[uniform, &fields.moments, &fields.derivatives, &fields.losses],
-                by_columns,
-            );
-            recorder.dispatch(
-                &self.kernels.gradient,
-                &[&uniform, render, photograph, &fields.derivatives, &fields.losses, &fields.gradient],
-                by_rows,
-            );
+            self.kernels.image.record(recorder, uniform, [render, photograph], fields);
         }
         if let Some(weights) = wavelet {
             let constraint = recorder.uniform(&[ConstraintUniform::new(size, division.shares(), weights)])?;

@@ -48,6 +48,7 @@ const SHARED: &[(&str, &str)] = &[
     ("context", include_str!("../../../shaders/shared/context.wgsl")),
     ("convolution", include_str!("../../../shaders/shared/convolution.wgsl")),
     ("ssim", include_str!("../../../shaders/shared/ssim.wgsl")),
+    ("ssim_tile", include_str!("../../../shaders/shared/ssim_tile.wgsl")),
 ];
 
 /// A compiled kernel.

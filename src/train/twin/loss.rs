@@ -54,17 +54,18 @@ pub fn ssim_rows(size: USizeVec2, render: &[DVec3], photograph: &[DVec3]) -> Vec
 /// too; and each pixel's SSIM, summed over the channels. The window is symmetric and zero-padded: its own adjoint.
 #[must_use]
 pub fn ssim_columns(size: USizeVec2, rows: &[Moments]) -> (Vec<SsimGradient>, Vec<f64>) {
-    let compare = |[x, y, xx, yy, xy]: Moments| {
-        let (a1, a2) = (2.0 * x * y + C1, 2.0 * (xy - x * y) + C2);
-        let (b1, b2) = (x * x + y * y + C1, xx - x * x + yy - y * y + C2);
-        let ssim = a1 * a2 / (b1 * b2);
-        // Product rule and quotient rule over the four factors; the means of x² and xy are held.
-        let by_mean = 2.0 * y * (a2 - a1) / (b1 * b2) - ssim * (2.0 * x / b1 - 2.0 * x / b2);
-        ([by_mean, -ssim / b2, 2.0 * a1 / (b1 * b2)], ssim.element_sum())
-    };
-    let (derivatives, ssim): (Vec<SsimGradient>, Vec<f64>) =
-        blur(size, 1, rows).into_iter().map(compare).unzip();
+    let (derivatives, ssim): (Vec<_>, Vec<_>) = blur(size, 1, rows).into_iter().map(similarity).unzip();
     (blur(size, 1, &derivatives), ssim)
+}
+
+/// The derivatives of a pixel's SSIM, and its SSIM, summed over the channels.
+fn similarity([x, y, xx, yy, xy]: Moments) -> (SsimGradient, f64) {
+    let (a1, a2) = (2.0 * x * y + C1, 2.0 * (xy - x * y) + C2);
+    let (b1, b2) = (x * x + y * y + C1, xx - x * x + yy - y * y + C2);
+    let ssim = a1 * a2 / (b1 * b2);
+    // Product rule and quotient rule over the four factors; the means of x² and xy are held.
+    let by_mean = 2.0 * y * (a2 - a1) / (b1 * b2) - ssim * (2.0 * x / b1 - 2.0 * x / b2);
+    ([by_mean, -ssim / b2, 2.0 * a1 / (b1 * b2)], ssim.element_sum())
 }
 
 /// The gradient of `l1_weight |x - y| - ssim_weight SSIM`, summed over all samples, by each sample of the render; and each
@@ -87,6 +88,36 @@ pub fn image_gradient(
             (l1_weight * difference.map(sign) - ssim_weight * d_ssim, losses)
         })
         .unzip()
+}
+
+/// As the hardware divides the work: of each pixel the derivatives of SSIM, and its losses.
+#[must_use]
+pub fn ssim_tiles(
+    size: USizeVec2,
+    render: &[DVec3],
+    photograph: &[DVec3],
+) -> (Vec<SsimGradient>, Vec<Losses>) {
+    let moments = blur(size, 1, &ssim_rows(size, render, photograph));
+    let pixels = moments.into_iter().map(similarity).zip(render).zip(photograph);
+    pixels
+        .map(|(((derivatives, ssim), x), y)| {
+            let difference = x - y;
+            let losses = [ssim, difference.abs().element_sum(), (difference * difference).element_sum()];
+            (derivatives, losses)
+        })
+        .unzip()
+}
+
+/// The gradient of [`image_gradient`] from the derivatives of [`ssim_tiles`].
+#[must_use]
+pub fn image_gradient_tiles(
+    size: USizeVec2,
+    render: &[DVec3],
+    photograph: &[DVec3],
+    derivatives: &[SsimGradient],
+    weights: [f64; 2],
+) -> Vec<DVec3> {
+    image_gradient(size, render, photograph, &blur(size, 1, derivatives), weights).0
 }
 
 /// The sums over all pixels.

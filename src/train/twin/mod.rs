@@ -15,7 +15,8 @@ pub use adam::{AdamElement, adam};
 pub use frozen_quant_steps::{freeze_quant_steps, frozen_quant_step_gradient};
 pub use gaussian::{SymbolBits, symbol_bits};
 pub use loss::{
-    Losses, Moments, SsimGradient, image_gradient, image_loss, ssim_columns, ssim_rows, sum_losses,
+    Losses, Moments, SsimGradient, image_gradient, image_gradient_tiles, image_loss, ssim_columns, ssim_rows,
+    ssim_tiles, sum_losses,
 };
 pub use masks::{mask_bits, mask_gradient, mask_loss, mask_rate};
 pub use quantise::{noise, quantise_gradient, quantise_rows, round_rows};

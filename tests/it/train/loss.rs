@@ -9,12 +9,12 @@ use rand_pcg::Pcg64;
 use tcgs::{
     domain::Image,
     eval,
-    gpu::{Device, DeviceSettings},
+    gpu::{Device, DeviceSettings, KernelVariant},
     train::{ImageLoss, LossSums, twin},
 };
 
 use crate::support::{
-    gpu::{gpu, gpu_with},
+    gpu::{gpu, gpu_with, variants},
     oracle::relative_l2,
 };
 
@@ -90,11 +90,34 @@ fn the_twins_gradient_is_that_of_its_loss() {
     }
 }
 
-/// Sums and gradient from the device; what the kernels must not read is NaN or noise.
-fn on_device(loss: &mut ImageLoss, pair: &Pair) -> (LossSums, Vec<[f32; 4]>) {
-    on(&gpu(), loss, pair)
+#[test]
+fn the_twin_of_the_tiles_is_that_of_rows_and_columns() {
+    for (width, height) in [(33, 18), (3, 5), (1, 1)] {
+        let pair = Pair::noise(2, width, height);
+        let (render, photograph) = (pair.render(), pair.photograph());
+        let samples = (3 * render.len()) as f64;
+        let (derivatives, losses) = twin::ssim_tiles(pair.size, &render, &photograph);
+        let weights = [0.8 / samples, 0.2 / samples];
+        let gradient = twin::image_gradient_tiles(pair.size, &render, &photograph, &derivatives, weights);
+        let sums = twin::sum_losses(&losses).map(|sum| sum / samples);
+        let (expected_sums, expected) = twin::image_loss(pair.size, &render, &photograph);
+        let near = |a: f64, b: f64| (a - b).abs() < 1e-12;
+        assert!(sums.iter().zip(expected_sums).all(|(a, b)| near(*a, b)), "{sums:?} {expected_sums:?}");
+        assert!(gradient.iter().zip(&expected).all(|(a, b)| (a - b).abs().max_element() < 1e-12));
+    }
 }
 
+/// A device of its own for each variant of the kernels.
+fn fresh_variants() -> [Arc<Device>; 2] {
+    [KernelVariant::Software, KernelVariant::Hardware]
+        .map(|variant| gpu_with(DeviceSettings { variant: Some(variant), ..DeviceSettings::default() }))
+}
+
+fn loss_on(device: &Arc<Device>) -> ImageLoss {
+    ImageLoss::new(Arc::clone(device)).expect("the kernels")
+}
+
+/// Sums and gradient from the device; what the kernels must not read is NaN or noise.
 fn on(device: &Device, loss: &mut ImageLoss, pair: &Pair) -> (LossSums, Vec<[f32; 4]>) {
     let render: Vec<[f32; 4]> = pair.render.iter().map(|[r, g, b]| [*r, *g, *b, f32::NAN]).collect();
     let render = device.upload("render", &render).expect("a buffer");
@@ -108,8 +131,8 @@ fn on(device: &Device, loss: &mut ImageLoss, pair: &Pair) -> (LossSums, Vec<[f32
     (loss.sums().expect("read").expect("a loss"), device.read(&gradient).expect("read"))
 }
 
-fn assert_matches_twin(loss: &mut ImageLoss, pair: &Pair, bound: f64) {
-    let (sums, gradient) = on_device(loss, pair);
+fn assert_matches_twin(device: &Device, loss: &mut ImageLoss, pair: &Pair, bound: f64) {
+    let (sums, gradient) = on(device, loss, pair);
     let ([ssim, l1, mse], expected) = twin::image_loss(pair.size, &pair.render(), &pair.photograph());
     assert!((sums.ssim - ssim).abs() < bound, "{}: SSIM {} {ssim}", pair.size, sums.ssim);
     assert!((sums.l1 - l1).abs() < 1e-6 && (sums.mse - mse).abs() < 1e-6, "{}", pair.size);
@@ -122,44 +145,85 @@ fn assert_matches_twin(loss: &mut ImageLoss, pair: &Pair, bound: f64) {
 
 #[test]
 fn the_loss_matches_the_twin_whatever_the_size() {
-    let mut loss = ImageLoss::new(gpu()).expect("the kernels");
-    assert!(loss.sums().expect("nothing to read").is_none(), "no figures before the first loss");
-    // Sizes shrink and grow in one instance, and some are more than one run of an invocation.
-    for (width, height) in [(13, 17), (3, 5), (64, 65), (1, 1), (1, 40), (270, 3), (5, 259), (13, 17)] {
-        let pair = Pair::noise((width * height) as u64, width, height);
-        assert_matches_twin(&mut loss, &pair, 1e-5);
+    for device in variants() {
+        let mut loss = loss_on(&device);
+        assert!(loss.sums().expect("nothing to read").is_none(), "no figures before the first loss");
+        // Sizes shrink and grow in one instance. Some are more than one run of an invocation, some whole tiles, some not.
+        let sizes =
+            [(13, 17), (3, 5), (64, 65), (1, 1), (1, 40), (32, 48), (270, 3), (5, 259), (16, 16), (13, 17)];
+        for (width, height) in sizes {
+            let pair = Pair::noise((width * height) as u64, width, height);
+            assert_matches_twin(&device, &mut loss, &pair, 1e-5);
+        }
+    }
+}
+
+#[test]
+fn the_gradient_is_that_of_the_loss_on_the_device() {
+    // No sample is closer than this to its photograph, so L1 has no kink in between.
+    const STEP: f32 = 0.003;
+    for device in variants() {
+        let mut loss = loss_on(&device);
+        for (seed, (width, height)) in [(1, (35, 21)), (2, (16, 16)), (3, (7, 40))] {
+            let pair = Pair::noise(seed, width, height);
+            let (_, gradient) = on(&device, &mut loss, &pair);
+            let mut rng = Pcg64::seed_from_u64(seed);
+            // Mostly uphill, so that the slope is far from zero.
+            let direction: Vec<[f32; 3]> = gradient
+                .iter()
+                .map(|g| {
+                    [0, 1, 2].map(|c| rng.random_range(0.2..1.0_f32) * if g[c] > 0.0 { 1.0 } else { -1.0 })
+                })
+                .collect();
+            let expected: f64 = gradient
+                .iter()
+                .zip(&direction)
+                .flat_map(|(g, d)| [0, 1, 2].map(|c| f64::from(g[c]) * f64::from(d[c])))
+                .sum();
+            let mut at = |step: f32| {
+                let moved = pair.render.iter().zip(&direction);
+                let render = moved.map(|(x, d)| [0, 1, 2].map(|c| x[c] + step * d[c])).collect();
+                let moved = Pair { size: pair.size, render, photograph: pair.photograph.clone() };
+                on(&device, &mut loss, &moved).0.loss()
+            };
+            let found = (at(STEP) - at(-STEP)) / (2.0 * f64::from(STEP));
+            // Rounding of 1e-7 of the loss over a difference of 4e-3, and the curvature of SSIM.
+            assert!((found / expected - 1.0).abs() < 5e-3, "{:?}: {found} {expected}", device.variant());
+        }
     }
 }
 
 #[test]
 fn alternating_image_sizes_make_no_buffers_and_change_no_bits() {
-    let device = gpu_with(DeviceSettings::default());
-    let mut loss = ImageLoss::new(Arc::clone(&device)).expect("the kernels");
     let pairs = [(70, 61), (61, 70), (13, 130), (3, 5)].map(|(width, height)| Pair::noise(7, width, height));
-    let mut made = |pair: &Pair| {
-        let before = (device.buffers_made(), device.allocated_bytes());
-        let found = on(&device, &mut loss, pair);
-        let fresh = on_device(&mut ImageLoss::new(gpu()).expect("the kernels"), pair);
-        assert!(found == fresh, "{}", pair.size);
-        (device.buffers_made() - before.0, device.allocated_bytes() - before.1)
-    };
-    for pair in &pairs {
-        made(pair);
-    }
-    let again = made(&pairs[3]);
-    for pair in pairs.iter().chain(&pairs) {
-        assert_eq!(made(pair), again, "{}", pair.size);
+    for (device, other) in fresh_variants().iter().zip(&variants()) {
+        let mut loss = loss_on(device);
+        let mut made = |pair: &Pair| {
+            let before = (device.buffers_made(), device.allocated_bytes());
+            let found = on(device, &mut loss, pair);
+            let fresh = on(other, &mut loss_on(other), pair);
+            assert!(found == fresh, "{}", pair.size);
+            (device.buffers_made() - before.0, device.allocated_bytes() - before.1)
+        };
+        for pair in &pairs {
+            made(pair);
+        }
+        let again = made(&pairs[3]);
+        for pair in pairs.iter().chain(&pairs) {
+            assert_eq!(made(pair), again, "{}", pair.size);
+        }
     }
 }
 
 #[test]
 fn the_loss_matches_the_twin_however_an_image_is_divided() {
+    let [device, _] = variants();
     for run in [4, 8, 16, 64] {
-        let mut loss = ImageLoss::with_run(gpu(), run).expect("the kernels");
+        let mut loss = ImageLoss::with_run(Arc::clone(&device), run).expect("the kernels");
         // 130 x 70 has more shares of the loss than one run of the sum, where runs are short.
         for (width, height) in [(130, 70), (16, 16), (17, 15), (1, 33), (40, 1)] {
             let pair = Pair::noise((width * height) as u64, width, height);
-            assert_matches_twin(&mut loss, &pair, 1e-5);
+            assert_matches_twin(&device, &mut loss, &pair, 1e-5);
         }
     }
 }
@@ -167,24 +231,31 @@ fn the_loss_matches_the_twin_however_an_image_is_divided() {
 /// As of upright photographs of three megapixels where 128 MiB are bound.
 #[test]
 fn channels_that_fit_only_one_at_a_time_give_the_same_bits() {
-    let pair = Pair::noise(6, 97, 65);
-    let whole = on_device(&mut ImageLoss::new(gpu()).expect("the kernels"), &pair);
-    let device = gpu_with(DeviceSettings { max_binding_bytes: Some(200_000), ..DeviceSettings::default() });
-    let mut loss = ImageLoss::new(Arc::clone(&device)).expect("the kernels");
-    assert!(on(&device, &mut loss, &pair) == whole);
-    // Smaller images go at once, larger ones again in parts.
-    let small = Pair::noise(8, 40, 30);
-    let expected = on_device(&mut ImageLoss::new(gpu()).expect("the kernels"), &small);
-    assert!(on(&device, &mut loss, &small) == expected);
-    assert!(on(&device, &mut loss, &pair) == whole);
+    for unbound in variants() {
+        let pair = Pair::noise(6, 97, 65);
+        let whole = on(&unbound, &mut loss_on(&unbound), &pair);
+        let device = gpu_with(DeviceSettings {
+            max_binding_bytes: Some(200_000),
+            variant: Some(unbound.variant()),
+            ..DeviceSettings::default()
+        });
+        let mut loss = loss_on(&device);
+        assert!(on(&device, &mut loss, &pair) == whole);
+        // Smaller images go at once, larger ones again in parts.
+        let small = Pair::noise(8, 40, 30);
+        let expected = on(&unbound, &mut loss_on(&unbound), &small);
+        assert!(on(&device, &mut loss, &small) == expected);
+        assert!(on(&device, &mut loss, &pair) == whole);
+    }
 }
 
 #[test]
 fn the_loss_matches_the_twin_on_smooth_images() {
-    let mut loss = ImageLoss::new(gpu()).expect("the kernels");
     // Where an image hardly varies, the variance is a difference of nearly equal numbers: 6e-8 of rounding against SSIM's
     // constant of 9e-4, times a few. It enters only with the variance of the images' difference, which is small here.
-    assert_matches_twin(&mut loss, &Pair::smooth(60, 44), 1e-4);
+    for device in variants() {
+        assert_matches_twin(&device, &mut loss_on(&device), &Pair::smooth(60, 44), 1e-4);
+    }
 }
 
 #[test]
@@ -194,22 +265,25 @@ fn the_same_images_give_the_same_bits() {
         let gradient: Vec<u32> = gradient.iter().flatten().map(|v| v.to_bits()).collect();
         ([sums.ssim, sums.l1, sums.mse].map(f64::to_bits), gradient)
     };
-    let mut loss = ImageLoss::new(gpu()).expect("the kernels");
-    let first = bits(on_device(&mut loss, &pair));
-    on_device(&mut loss, &Pair::noise(4, 97, 65));
-    assert!(bits(on_device(&mut loss, &pair)) == first);
+    for device in variants() {
+        let mut loss = loss_on(&device);
+        let first = bits(on(&device, &mut loss, &pair));
+        on(&device, &mut loss, &Pair::noise(4, 97, 65));
+        assert!(bits(on(&device, &mut loss, &pair)) == first);
+    }
 }
 
 #[test]
 fn equal_images_have_no_loss_and_next_to_no_gradient() {
     let mut pair = Pair::noise(5, 21, 19);
     pair.render = pair.photograph.iter().map(|pixel| pixel.map(|v| f32::from(v) / 255.0)).collect();
-    let mut loss = ImageLoss::new(gpu()).expect("the kernels");
-    let (sums, gradient) = on_device(&mut loss, &pair);
-    assert!(sums.loss().abs() < 1e-6, "{sums:?}");
-    assert!(sums.psnr() > 90.0);
-    // One sample's weight is 0.8 over 1197 samples, 7e-4; the device's 8-bit decoding may differ in the last bit.
-    assert!(gradient.iter().flatten().all(|v| v.abs() < 1e-3));
+    for device in variants() {
+        let (sums, gradient) = on(&device, &mut loss_on(&device), &pair);
+        assert!(sums.loss().abs() < 1e-6, "{sums:?}");
+        assert!(sums.psnr() > 90.0);
+        // One sample's weight is 0.8 over 1197 samples, 7e-4; the device's 8-bit decoding may differ in the last bit.
+        assert!(gradient.iter().flatten().all(|v| v.abs() < 1e-3));
+    }
 }
 
 /// SSIM with an 11 x 11 window, pixel by pixel.
@@ -254,7 +328,7 @@ fn the_final_metric_the_loss_and_a_plain_window_agree_on_8_bit_images() {
         let (a, b) = (image(&rendered), image(&photograph));
         let render = rendered.iter().map(|pixel| pixel.map(|v| f32::from(v) / 255.0)).collect();
         let pair = Pair { size: USizeVec2::new(width, height), render, photograph };
-        let (on_device, _) = on_device(&mut ImageLoss::new(gpu()).expect("the kernels"), &pair);
+        let (on_device, _) = on(&gpu(), &mut loss_on(&gpu()), &pair);
         let ([twin, ..], _) = twin::image_loss(pair.size, &pair.render(), &pair.photograph());
         let metric = eval::ssim(&a, &b).expect("comparable");
         let plain = plain_ssim(&a, &b);

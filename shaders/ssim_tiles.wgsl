@@ -1,0 +1,113 @@
+// SSIM of a tile on hardware: its window along rows and columns, from the moments x, y, x^2 + y^2 and (x - y)^2 of render and
+// photograph; the derivatives of the SSIM map by E[x], E[x^2 + y^2] and E[(x - y)^2]; and for each channel the tile's share of
+// SSIM, L1 and the squared error. One channel after another.
+#import tcgs::ssim::{Image, REACH, similarity, total}
+#import tcgs::ssim_tile::{
+    Line, LANES, TILE, HALO, RUNS, FIELD, PITCH, blurred, column_sums, halo_sample, level, middle, origin_of, place_of, row_run,
+    store_row_sums, tiles_of,
+}
+
+@group(0) @binding(0) var<uniform> image: Image;
+@group(0) @binding(1) var<storage, read> render: array<f32>;
+@group(0) @binding(2) var<storage, read> photograph: array<u32>;
+// [channel][derivative][pixel]
+@group(0) @binding(3) var<storage, read_write> derivatives: array<f32>;
+// [channel][tile]
+@group(0) @binding(4) var<storage, read_write> losses: array<vec4f>;
+
+// Samples of the render, then of the photograph, on the tile and its halo; zero outside the image.
+var<workgroup> samples: array<f32, 2u * FIELD>;
+// Each lane's share of the losses of each channel.
+var<workgroup> shares: array<vec4f, 3u * LANES>;
+
+fn load(origin: vec2u, channel: u32, local: u32) {
+    for (var i = local; i < HALO * HALO; i += LANES) {
+        let sample = halo_sample(image, origin, i);
+        samples[sample.at] = select(0.0, render[4u * sample.pixel + channel], sample.inside);
+        samples[FIELD + sample.at] = select(0.0, level(photograph[sample.pixel], channel), sample.inside);
+    }
+}
+
+fn line_at(at: u32) -> Line {
+    return Line(
+        vec4f(samples[at], samples[at + 1u], samples[at + 2u], samples[at + 3u]),
+        vec4f(samples[at + 4u], samples[at + 5u], samples[at + 6u], samples[at + 7u]),
+        vec4f(samples[at + 8u], samples[at + 9u], samples[at + 10u], samples[at + 11u]),
+        vec2f(samples[at + 12u], samples[at + 13u]),
+    );
+}
+
+// Sums the moments along rows; returns the lane's share of the absolute and of the squared difference.
+fn sum_rows(local: u32) -> vec2f {
+    var absolute = vec4f(0.0);
+    var squared = vec4f(0.0);
+    for (var i = local; i < RUNS; i += LANES) {
+        let run = row_run(i);
+        let at = run.row * PITCH + run.column;
+        let x = line_at(at);
+        let y = line_at(FIELD + at);
+        let m = Line(x.a - y.a, x.b - y.b, x.c - y.c, x.d - y.d);
+        store_row_sums(run, transpose(mat4x4f(
+            blurred(x),
+            blurred(y),
+            blurred(Line(x.a * x.a + y.a * y.a, x.b * x.b + y.b * y.b, x.c * x.c + y.c * y.c, x.d * x.d + y.d * y.d)),
+            blurred(Line(m.a * m.a, m.b * m.b, m.c * m.c, m.d * m.d)),
+        )));
+        // Rows of the halo belong to other tiles. Outside the image both samples are zero.
+        let own = i32(run.row) >= REACH && i32(run.row) < REACH + i32(TILE);
+        let difference = select(vec4f(0.0), middle(m), own);
+        absolute += abs(difference);
+        squared += difference * difference;
+    }
+    return vec2f(total(absolute), total(squared));
+}
+
+// Sums along a column and compares; returns the SSIM of the lane's pixels, added up.
+fn compare(origin: vec2u, channel: u32, local: u32) -> f32 {
+    let pixels = image.size.x * image.size.y;
+    let field = 3u * (channel - image.channels.x) * pixels;
+    let first = place_of(local);
+    let sums = column_sums(first.x, first.y);
+    let similar = similarity(sums[0], sums[1], sums[2], sums[3]);
+    var ssim = 0.0;
+    for (var k = 0u; k < 4u; k++) {
+        let place = origin + first + vec2u(0u, k);
+        if all(place < image.size.xy) {
+            let at = field + place.y * image.size.x + place.x;
+            derivatives[at] = similar.by_mean[k];
+            derivatives[at + pixels] = similar.by_squares[k];
+            derivatives[at + 2u * pixels] = similar.by_difference[k];
+            ssim += similar.ssim[k];
+        }
+    }
+    return ssim;
+}
+
+@compute @workgroup_size(LANES)
+fn ssim_tiles(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) local: u32) {
+    let tiles = tiles_of(image);
+    let tile = group.x + group.y * 65535u;
+    // Uniform: all invocations of a workgroup return here or none.
+    if tile >= tiles.x * tiles.y {
+        return;
+    }
+    let origin = origin_of(tile, tiles);
+    for (var k = 0u; k < image.channels.y; k++) {
+        let channel = image.channels.x + k;
+        load(origin, channel, local);
+        workgroupBarrier();
+        let differences = sum_rows(local);
+        workgroupBarrier();
+        shares[k * LANES + local] = vec4f(compare(origin, channel, local), differences, 0.0);
+    }
+    workgroupBarrier();
+    for (var reach = LANES / 2u; reach > 0u; reach /= 2u) {
+        for (var at = local; local < reach && at < image.channels.y * LANES; at += LANES) {
+            shares[at] += shares[at + reach];
+        }
+        workgroupBarrier();
+    }
+    if local < image.channels.y {
+        losses[(image.channels.x + local) * tiles.x * tiles.y + tile] = shares[local * LANES];
+    }
+}
