@@ -25,7 +25,7 @@ use tcgs::{
 };
 
 use crate::support::{
-    gpu::gpu,
+    gpu::{gpu, variants},
     oracle::{Oracle, relative_l2},
     random,
     scene::{flat, sections},
@@ -165,11 +165,10 @@ fn assert_near(what: &str, found: &[f64], expected: &[f64]) {
 }
 
 /// Compares everything with the twin; returns how many Gaussians are visible.
-fn matches_twin(rows: &GaussianRows, camera: &Camera, degree: u32) -> usize {
-    let device = gpu();
-    let mut plain = PlainGaussians::new(Arc::clone(&device), NEAR).expect("the kernels");
+fn matches_twin(device: &Arc<Device>, rows: &GaussianRows, camera: &Camera, degree: u32) -> usize {
+    let mut plain = PlainGaussians::new(Arc::clone(device), NEAR).expect("the kernels");
     plain.set_degree(degree).expect("the kernels");
-    let found = run(&device, &mut plain, rows, camera);
+    let found = run(device, &mut plain, rows, camera);
     let projection = projection(camera);
     let shaded: Vec<Option<Gaussian>> =
         twin_rows(rows).iter().map(|row| shade_gaussians(&projection, row, degree)).collect();
@@ -233,12 +232,31 @@ fn matches_twin(rows: &GaussianRows, camera: &Camera, degree: u32) -> usize {
 
 #[test]
 fn kernels_match_the_twin_at_every_degree() {
-    for degree in 0..=3 {
-        for count in [1, 63, 64, 65, 700] {
-            matches_twin(&rows(count as u64, count), &random::camera(40, 30), degree);
+    for device in variants() {
+        for degree in 0..=3 {
+            for count in [1, 63, 64, 65, 700] {
+                matches_twin(&device, &rows(count as u64, count), &random::camera(40, 30), degree);
+            }
+            let seen = matches_twin(&device, &rows(3, 700), &inside(), degree);
+            assert!((100..400).contains(&seen), "a part is behind the camera: {seen}");
         }
-        let seen = matches_twin(&rows(3, 700), &inside(), degree);
-        assert!((100..400).contains(&seen), "a part is behind the camera: {seen}");
+    }
+}
+
+#[test]
+fn both_variants_of_the_kernels_give_the_same_bits() {
+    let bits = |values: &[f32]| values.iter().map(|v| v.to_bits()).collect::<Vec<u32>>();
+    for degree in 0..=3 {
+        for count in [1, 64, 65, 700] {
+            let rows = rows(count as u64, count);
+            let [software, hardware] = variants().map(|device| {
+                let mut plain = PlainGaussians::new(Arc::clone(&device), NEAR).expect("the kernels");
+                plain.set_degree(degree).expect("the kernels");
+                let gradients = run(&device, &mut plain, &rows, &random::camera(40, 30)).d_rows;
+                (bits(&gradients.base), gradients.bands.each_ref().map(|band| bits(band)))
+            });
+            assert!(software == hardware, "{count} Gaussians of degree {degree}");
+        }
     }
 }
 
