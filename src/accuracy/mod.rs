@@ -12,6 +12,7 @@ mod images;
 mod loss;
 mod norms;
 mod optimiser;
+mod primitives;
 mod projection;
 mod raster;
 mod scenes;
@@ -36,6 +37,7 @@ pub fn cases() -> Vec<&'static Case> {
         entropy::CASES,
         optimiser::CASES,
         sums::CASES,
+        primitives::CASES,
     ];
     areas.into_iter().flatten().collect()
 }

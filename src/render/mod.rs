@@ -27,7 +27,7 @@ pub use device_anchors::{AnchorGradients, DeviceAnchors};
 pub use error::RenderError;
 use error::Result;
 pub use gaussians::{GEOMETRY_SECTIONS, GaussianGradients, Gaussians};
-pub use neural::NeuralGaussians;
+pub use neural::{NeuralGaussians, list_visible};
 pub use packed_image::PackedImage;
 pub use plain::{DeviceGaussians, PlainGaussians, STATISTICS};
 pub use projection::{Projection, RasterSettings, TILE};

@@ -97,19 +97,49 @@ impl Compaction {
         &self,
         recorder: &mut Recorder<'_>,
         view: &Buffer<ViewUniform>,
-        on: &Activations,
+        flags: Flags<'_>,
         list: &Buffer<u32>,
         anchors: usize,
     ) {
+        let Flags { visible, block_counts } = flags;
         match self {
-            Self::Software(compact) => recorder.dispatch(compact, &[view, &on.visible, list], 1),
+            Self::Software(compact) => recorder.dispatch(compact, &[view, visible, list], 1),
             Self::Hardware { count, list: fill } => {
                 let blocks = anchors.div_ceil(BLOCK).max(1) as u32;
-                recorder.dispatch(count, &[view, &on.visible, &on.block_counts], blocks);
-                recorder.dispatch(fill, &[view, &on.visible, &on.block_counts, list], blocks);
+                recorder.dispatch(count, &[view, visible, block_counts], blocks);
+                recorder.dispatch(fill, &[view, visible, block_counts, list], blocks);
             }
         }
     }
+}
+
+/// Flags of anchors, and room for how many are set in each block of [`BLOCK`] anchors.
+#[derive(Debug, Clone, Copy)]
+struct Flags<'a> {
+    visible: &'a Buffer<u32>,
+    block_counts: &'a Buffer<u32>,
+}
+
+/// The anchors whose flags are set, ascending, as a view lists them. Waits for the device.
+///
+/// # Errors
+/// Faults of the device.
+pub fn list_visible(device: &Device, visible: &[bool]) -> Result<Vec<u32>> {
+    let anchors = visible.len();
+    let counts = [anchors as u32, anchors as u32, 0, 0];
+    let view = device.upload("view", &[ViewUniform { counts, ..ViewUniform::zeroed() }])?;
+    let flags: Vec<u32> = visible.iter().map(|flag| u32::from(*flag)).collect();
+    let visible = device.upload("visible anchors", &flags)?;
+    let block_counts = device.buffer("visible anchors of blocks", anchors.div_ceil(BLOCK))?;
+    let list = device.buffer("visible list", anchors + 1)?;
+    let mut recorder = device.recorder("visible anchors");
+    let flags = Flags { visible: &visible, block_counts: &block_counts };
+    Compaction::new(device)?.record(&mut recorder, &view, flags, &list, anchors);
+    recorder.submit()?;
+    let mut list = device.read(&list)?;
+    let count = list.remove(0) as usize;
+    list.truncate(count);
+    Ok(list)
 }
 
 /// Activations of the forward pass, column-major with `capacity` columns: one for each visible anchor while opacities are
@@ -132,6 +162,10 @@ struct Activations {
 }
 
 impl Activations {
+    fn flags(&self) -> Flags<'_> {
+        Flags { visible: &self.visible, block_counts: &self.block_counts }
+    }
+
     fn plan(layout: &NetworkLayout, capacity: usize) -> Plan<'static, Self> {
         planned!(Self {
             visible: Plan::buffer("visible anchors", capacity),
@@ -343,7 +377,7 @@ impl NeuralGaussians {
             &[view, &on.list, &on.outputs, &anchors.masks, &on.visible, &on.gaussians.geometry, &on.alive],
             groups,
         );
-        kernels.compaction.record(recorder, view, on, &on.columns, anchors.count);
+        kernels.compaction.record(recorder, view, on.flags(), &on.columns, anchors.count);
         recorder.dispatch(
             &kernels.opaque_input,
             &[view, &on.list, &anchors.positions, &anchors.rows, &on.input, &on.columns],
@@ -419,7 +453,7 @@ impl NeuralGaussians {
             &[view, &anchors.positions, &anchors.rows, &on.visible],
             groups,
         );
-        kernels.compaction.record(recorder, view, on, &on.list, anchors.count);
+        kernels.compaction.record(recorder, view, on.flags(), &on.list, anchors.count);
         recorder.dispatch(
             &kernels.network_input,
             &[view, &on.list, &anchors.positions, &anchors.rows, &on.input],
