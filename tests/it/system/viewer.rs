@@ -29,6 +29,11 @@ const MIDDLE: &str = "(() => {
     return [x + width / 2, y + height / 2];
 })()";
 
+/// What reaches beyond the width of a phone.
+const WIDER_THAN_THE_WINDOW: &str = "[...document.body.querySelectorAll('*')]
+    .filter(element => element.getBoundingClientRect().right > 390)
+    .map(element => `${element.tagName} of ${element.parentElement.tagName} ${element.parentElement.className}: ${element.textContent.slice(0, 40)}`)";
+
 /// The width of pictures at rest.
 const FULL: &str = "640,";
 
@@ -97,6 +102,9 @@ async fn fingers_pinch_the_viewer_and_scroll_its_page() {
     let mut page = Page::open(program, &format!("http://{}{job}/report", server.address)).await;
     page.be_a_phone().await;
     let first = page.until(PIXELS, |pixels| is_full_and_not(pixels, &Value::Null)).await;
+    // A page that is wider is shown smaller, and fingers are not where they seem to be.
+    let wide = page.evaluate(WIDER_THAN_THE_WINDOW).await;
+    assert_eq!(wide, Value::Array(Vec::new()));
     let middle = page.evaluate(MIDDLE).await;
     let (x, y) = (middle[0].as_f64().expect("a place"), middle[1].as_f64().expect("a place"));
 
