@@ -13,6 +13,17 @@ use crate::{
 /// Result of a part of training.
 pub(super) type Result<T, E = TrainError> = std::result::Result<T, E>;
 
+/// Steps after which a run has found any scene that its photographs describe.
+const ENOUGH_STEPS: u32 = 225;
+
+fn why_nothing_is_left(step: u32) -> &'static str {
+    if step < ENOUGH_STEPS {
+        "so early, the run may be too short: train for more iterations, and check the poses if that does not help"
+    } else {
+        "the poses and the photographs do not describe one scene"
+    }
+}
+
 /// Why training ended without a scene.
 #[derive(Debug, Error)]
 pub enum TrainError {
@@ -22,19 +33,19 @@ pub enum TrainError {
     /// The point cloud cannot initialise a scene.
     #[error("the point cloud: {0}")]
     Points(#[from] InitError),
-    /// The cameras look at a place so far from the origin that single precision cannot tell its points apart.
+    /// The cameras look at a place so far from the origin that double precision cannot tell its points apart.
     #[error(
-        "the cameras look at a place {distance} units from the origin, and only {side} units across: single precision cannot \
+        "the cameras look at a place {distance} units from the origin, and only {side} units across: double precision cannot \
          tell its points apart; move the scene closer to the origin"
     )]
     FarFromOrigin {
         /// Of the box of first points, in world units.
-        distance: f32,
+        distance: f64,
         /// Of the box.
-        side: f32,
+        side: f64,
     },
-    /// Every anchor or Gaussian was pruned: the photographs and poses do not agree on anything.
-    #[error("everything was pruned at step {step}; the poses and the photographs do not describe one scene")]
+    /// Every anchor or Gaussian was pruned: the photographs and poses do not agree on anything, or the run was too short to tell.
+    #[error("everything was pruned at step {step}; {}", why_nothing_is_left(*step))]
     NothingLeft {
         /// The step.
         step: u32,
@@ -98,4 +109,20 @@ pub enum ContextError {
         /// Those needed.
         expected: usize,
     },
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn poses_are_blamed_only_after_a_run_that_was_long_enough() {
+        let told = |step| TrainError::NothingLeft { step }.to_string();
+        assert!(
+            told(33).contains("step 33; so early") && !told(33).contains("do not describe"),
+            "{}",
+            told(33)
+        );
+        assert!(told(300).contains("do not describe one scene"), "{}", told(300));
+    }
 }
