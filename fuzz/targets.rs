@@ -5,7 +5,7 @@ use tcgs::{
     codec::{self, DecodeError, DecodeLimits, EncodeSettings, Provenance, context::robust_frame},
     domain::{
         AnchorScene, AttributeGroup, Background, ContextCandidates, ContextKind, DenseLayer, Digest, Lattice,
-        Mlp, NearPlane, PlaneContext, Planes, RenderNetworks, SceneScale, UpLayer,
+        Mlp, NearPlane, PlaneContext, Planes, RenderNetworks, SceneFrame, SceneScale, UpLayer,
     },
 };
 
@@ -182,6 +182,7 @@ fn scene(bytes: &mut Bytes<'_>) -> AnchorScene {
     AnchorScene {
         near: NearPlane::DEFAULT,
         scene_scale: SceneScale::DEFAULT,
+        frame: SceneFrame::WORLD,
         lattice: Lattice { voxel: bytes.step(), origin: [bytes.f32(), bytes.f32(), bytes.f32()] },
         cells: (0..anchors).map(|_| cell(bytes)).collect(),
         feature_dim: features,

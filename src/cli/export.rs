@@ -4,7 +4,10 @@ use std::path::{Path, PathBuf};
 
 use clap::builder::{PossibleValuesParser, TypedValueParser as _};
 use serde::Serialize;
-use tcgs::domain::{Camera, Dataset, Digest, Image, Problem, SceneFormat, Split};
+use tcgs::{
+    domain::{Camera, Dataset, Digest, Image, Problem, SceneFormat, Split},
+    export::world::Origin,
+};
 
 use super::{CliError, Report, adapter::AdapterFlag, files, notice::notice, wiring};
 
@@ -36,6 +39,11 @@ pub(crate) struct Args {
     #[arg(long, value_name = "N", default_value_t = 3, value_parser = clap::value_parser!(u8).range(0..=3))]
     sh_degree: u8,
 
+    /// Write world coordinates even of a scene so far from the origin that single precision loses detail; the loss is printed.
+    /// Otherwise such a file's coordinates are relative to an offset, which is printed and is in a comment of a .ply
+    #[arg(long)]
+    world: bool,
+
     /// Do not measure the loss, which needs an adapter
     #[arg(long)]
     unmeasured: bool,
@@ -60,6 +68,8 @@ struct Summary {
     baked: Option<wiring::Baking>,
     /// Null for a `.ply`.
     spz: Option<wiring::Packing>,
+    /// Where the file's coordinates are in the world.
+    place: wiring::Place,
     /// Null if it was not to be measured.
     quality: Option<wiring::Quality>,
 }
@@ -99,7 +109,9 @@ pub(crate) fn run(args: &Args) -> Result<Report, CliError> {
         false => Some(wiring::Renderer::open(file.clone(), &args.adapter.adapter).map_err(unmeasurable)?),
     };
     let cameras = dataset.as_ref().map(training_cameras);
-    let exported = wiring::export(&file, format, args.sh_degree, cameras.as_deref()).map_err(in_file)?;
+    let origin = if args.world { Origin::World } else { Origin::Nearby };
+    let exported =
+        wiring::export(&file, format, args.sh_degree, cameras.as_deref(), origin).map_err(in_file)?;
     let source = Source {
         format: file.format,
         bytes: bytes.len(),
@@ -115,7 +127,7 @@ pub(crate) fn run(args: &Args) -> Result<Report, CliError> {
             let background = file.background;
             let photographs =
                 dataset.as_ref().map(|dataset| held_out(dataset, background.rgb8())).transpose()?;
-            Some(wiring::compare(&renderer, &exported.bytes, background, photographs.as_deref())?)
+            Some(wiring::compare(&renderer, &exported, background, photographs.as_deref())?)
         }
     };
     let summary = Summary {
@@ -127,6 +139,7 @@ pub(crate) fn run(args: &Args) -> Result<Report, CliError> {
         source,
         baked: exported.baking,
         spz: exported.packing,
+        place: exported.place,
         quality,
     };
     Ok(Report::new(text(&summary), &summary))
@@ -161,7 +174,7 @@ fn held_out(dataset: &Dataset, background: [u8; 3]) -> Result<Vec<(String, Camer
 }
 
 fn text(summary: &Summary) -> String {
-    let Summary { source, baked, spz, quality, .. } = summary;
+    let Summary { source, baked, spz, place, quality, .. } = summary;
     let mut lines = vec![format!(
         "source    .{}, {} bytes; {} anchors, {} Gaussians",
         source.format.extension(),
@@ -180,6 +193,20 @@ fn text(summary: &Summary) -> String {
             "packed    version {}, positions to 2^-{}; {} values clamped, {} invisible Gaussians left out",
             spz.version, spz.fractional_bits, spz.clamped, spz.left_out
         ));
+    }
+    if let Some(rounding) = &place.rounding {
+        let [x, y, z] = place.offset;
+        lines.push(match place.offset == [0.0; 3] {
+            true => format!(
+                "place     world coordinates, which single precision rounds by {:.3} units a Gaussian on average, {:.2} of its \
+                 standard deviations",
+                rounding.mean_shift, rounding.mean_shift_in_deviations
+            ),
+            false => format!(
+                "place     relative to {x} {y} {z} in the world, since single precision there would lose detail; --world forces \
+                 world coordinates"
+            ),
+        });
     }
     if let Some(quality) = quality {
         let from = format!("over {} views ({})", quality.views, quality.from);

@@ -61,7 +61,7 @@ impl<'a> Reader<'a> {
         Ok(self.array::<1>(what)?[0])
     }
 
-    read_numbers! { u16, u32, u64, f32 }
+    read_numbers! { u16, u32, u64, f32, f64 }
 
     pub(super) fn digest_bytes(&mut self, what: &'static str) -> Result<[u8; 32]> {
         self.array(what)

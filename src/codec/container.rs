@@ -172,8 +172,13 @@ fn parse_sections<'a>(table: &[u8], bytes: &'a [u8]) -> Result<Vec<Section<'a>>>
 }
 
 /// The minor version that first had all of `ids`: a file states the oldest version whose decoders can read it.
-fn minor(mut ids: impl Iterator<Item = SectionId>) -> u16 {
-    u16::from(ids.any(|id| id == sections::REGRESSION))
+fn minor(ids: impl Iterator<Item = SectionId>) -> u16 {
+    let first_with = |id| match id {
+        sections::FRAME => 2,
+        sections::REGRESSION => 1,
+        _ => 0,
+    };
+    ids.map(first_with).max().unwrap_or(0)
 }
 
 /// Writes a file of `(id, content)`; those whose id is in `optional` need not be understood, all others are critical.

@@ -17,7 +17,7 @@ use super::{
     view,
 };
 use crate::domain::{
-    AnchorScene, Digest, NearPlane, SceneScale,
+    AnchorScene, Digest, NearPlane, SceneFrame, SceneScale,
     anchors::SCALINGS_PER_ANCHOR,
     context_model::{ContextKind, NEIGHBOURS},
 };
@@ -96,8 +96,10 @@ pub(super) fn decode_with(
     known: Option<KnownNeighbours<'_>>,
 ) -> Result<Decoded> {
     let _stage = tracing::debug_span!("decode").entered();
-    let Content { manifest, networks, symbols, near, scene_scale, .. } = read_with(bytes, limits, known)?;
-    let scene = AnchorScene { near, scene_scale, ..quantise::dequantise(symbols, &networks, &manifest) };
+    let Content { manifest, networks, symbols, near, scene_scale, frame, .. } =
+        read_with(bytes, limits, known)?;
+    let scene =
+        AnchorScene { near, scene_scale, frame, ..quantise::dequantise(symbols, &networks, &manifest) };
     let decode_sha256 = decode_digest(&scene);
     if decode_sha256 != manifest.decode_sha256 {
         return Err(DecodeError::DecodeDigest { stated: manifest.decode_sha256, actual: decode_sha256 });
@@ -116,6 +118,8 @@ pub(super) struct Content {
     pub(super) near: NearPlane,
     /// Unit of the distances that the render networks get.
     pub(super) scene_scale: SceneScale,
+    /// Where the scene's coordinates are in the world.
+    pub(super) frame: SceneFrame,
 }
 
 /// Reads everything as integers, without dequantising.
@@ -174,7 +178,8 @@ fn read_with(bytes: &[u8], limits: &DecodeLimits, known: Option<KnownNeighbours<
     let symbols = Symbols { cells, masks, groups, step_indices };
     let near = view::decode_near(container.find(sections::VIEW))?;
     let scene_scale = view::decode_scene_scale(container.find(sections::UNIT))?;
-    Ok(Content { manifest, networks, symbols, models, anchors, near, scene_scale })
+    let frame = view::decode_frame(container.find(sections::FRAME))?;
+    Ok(Content { manifest, networks, symbols, models, anchors, near, scene_scale, frame })
 }
 
 /// Most multiplications that a file's networks may take, and its regressions: 27 000 an anchor for ten million anchors. Anchors that are easily

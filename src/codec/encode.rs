@@ -96,7 +96,7 @@ pub fn encode(
     let known = KnownNeighbours { cells: &expected.cells, neighbours: chosen.neighbours };
     let decoded = decode_with(&bytes, &DecodeLimits::NONE, Some(known)).map_err(EncodeError::ReadBack)?;
     // The hash covers every other value.
-    let view = |scene: &AnchorScene| (scene.near, scene.scene_scale);
+    let view = |scene: &AnchorScene| (scene.near, scene.scene_scale, scene.frame);
     if decoded.decode_sha256 != manifest.decode_sha256 || view(&decoded.scene) != view(scene) {
         return Err(EncodeError::Verification);
     }
@@ -162,6 +162,7 @@ fn assemble_sections(
     content.extend(payload.into_iter().flatten());
     content
         .extend(view::encode_scene_scale(scene.scene_scale).map(|scene_scale| (sections::UNIT, scene_scale)));
+    content.extend(view::encode_frame(scene.frame).map(|frame| (sections::FRAME, frame)));
     content.extend(view::encode_near(scene.near).map(|view| (sections::VIEW, view)));
     container::write(&content, &[sections::VIEW])
 }

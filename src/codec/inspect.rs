@@ -17,7 +17,9 @@ use super::{
     shape::Attribute,
     view,
 };
-use crate::domain::{ByteCounts, Digest, SceneScale, choices::Explanation, context_model::ContextKind};
+use crate::domain::{
+    ByteCounts, Digest, SceneFrame, SceneScale, choices::Explanation, context_model::ContextKind,
+};
 
 /// Purpose of a byte range; the groups of [`ByteCounts`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -90,7 +92,9 @@ pub struct Inspection {
     pub regressions: [Option<u64>; 3],
     /// What the run chose and why, for people.
     pub choices: Vec<Explanation>,
-    /// Unit of the distances that the networks get, in world units.
+    /// Where the scene's coordinates are in the world: `world = offset + scale * coordinate`. Lattice and steps are in its units.
+    pub frame: SceneFrame,
+    /// Unit of the distances that the networks get, in units of the frame.
     #[serde(rename = "distance_unit")]
     pub scene_scale: SceneScale,
     /// Sections in file order.
@@ -141,6 +145,7 @@ pub fn inspect(bytes: &[u8]) -> Result<Inspection> {
         choices: explain(&manifest, regressions),
         manifest,
         regressions,
+        frame: view::decode_frame(container.find(sections::FRAME))?,
         scene_scale: view::decode_scene_scale(container.find(sections::UNIT))?,
         sections: container.sections.iter().map(report).collect(),
         byte_counts: count(&map.ranges),
@@ -216,6 +221,7 @@ fn map_section(section: &Section<'_>, manifest: &Manifest, map: &mut Map) -> Res
             }
         }
         sections::UNIT => map.push(length, ByteGroup::Container, "unit of the networks' distances"),
+        sections::FRAME => map.push(length, ByteGroup::Container, "frame of the scene"),
         sections::VIEW => map.push(length, ByteGroup::Container, "near plane"),
         _ => map.push(length, ByteGroup::Container, "optional section of a later version"),
     }
@@ -273,14 +279,18 @@ impl fmt::Display for Inspection {
         writeln!(f)?;
         let voxel = manifest.lattice.voxel;
         let [x, y, z] = manifest.lattice.origin;
+        let frame = &self.frame;
+        let offset = frame.offset();
         let rows = [
             ("anchors", manifest.anchors.to_string()),
             ("gaussians", manifest.gaussians.to_string()),
             ("feature width", manifest.feature_dim.to_string()),
             ("offsets an anchor", manifest.offsets_per_anchor.to_string()),
             ("anchors a chunk", manifest.chunk_anchors.to_string()),
-            ("voxel", voxel.to_string()),
-            ("origin", format!("{x} {y} {z}")),
+            ("frame offset", format!("{} {} {} in the world", offset.x, offset.y, offset.z)),
+            ("frame scale", format!("{} world units a unit", frame.scale())),
+            ("voxel", format!("{voxel} ({} world units)", f64::from(voxel) * frame.scale())),
+            ("origin", format!("{x} {y} {z} in the frame")),
             ("scene scale", self.scene_scale.length().to_string()),
             ("feature step", manifest.steps.feature.to_string()),
             (
@@ -289,7 +299,7 @@ impl fmt::Display for Inspection {
             ),
             ("offset step", manifest.steps.offset.to_string()),
             ("background", manifest.background.to_string()),
-            ("world frame", "the dataset's own; cameras in OpenCV axes".to_owned()),
+            ("world", "the dataset's own; cameras in OpenCV axes".to_owned()),
             ("colour space", "sRGB".to_owned()),
             ("content SHA-256", self.content_sha256.to_string()),
             ("decode SHA-256", manifest.decode_sha256.to_string()),

@@ -132,7 +132,7 @@ mod tests {
     use rand_pcg::Pcg64Mcg;
 
     use super::*;
-    use crate::domain::{Lattice, NearPlane, RenderNetworks, SceneScale};
+    use crate::domain::{Lattice, NearPlane, RenderNetworks, SceneFrame, SceneScale};
 
     #[test]
     fn the_forward_pass_has_relu_between_layers_only() {
@@ -177,6 +177,7 @@ mod tests {
             networks: RenderNetworks { opacity: none(), covariance: none(), color: none() },
             near: NearPlane::DEFAULT,
             scene_scale: SceneScale::new(0.25).expect("a length"),
+            frame: SceneFrame::WORLD,
         };
         let inputs = sample_inputs(&scene);
         assert_eq!(inputs.len(), 200);

@@ -7,7 +7,7 @@ use super::{
     context::quant_steps::factor, error::EncodeError, manifest::Manifest, networks::QuantisedNetworks,
     shape::Attribute, symbols::MAX_SYMBOL,
 };
-use crate::domain::{AnchorScene, NearPlane, SceneScale};
+use crate::domain::{AnchorScene, NearPlane, SceneFrame, SceneScale};
 
 /// The integers of a file, anchors in file order.
 #[derive(Debug, Clone, PartialEq)]
@@ -119,6 +119,7 @@ pub(super) fn dequantise(symbols: Symbols, networks: &QuantisedNetworks, manifes
         networks: networks.dequantise(),
         near: NearPlane::DEFAULT,
         scene_scale: SceneScale::DEFAULT,
+        frame: SceneFrame::WORLD,
     }
 }
 

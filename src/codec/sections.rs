@@ -20,14 +20,16 @@ pub(super) const REGRESSION: SectionId = *b"REGR";
 /// Features, scalings, offsets.
 pub(super) const ATTRIBUTES: SectionId = *b"ATTR";
 
-/// Unit of the distances that the render networks get, if it is not the world's.
+/// Unit of the distances that the render networks get, if it is not that of the scene's frame.
 pub(super) const UNIT: SectionId = *b"UNIT";
+/// Frame of the scene, if it is not the world's.
+pub(super) const FRAME: SectionId = *b"FRAM";
 /// Near plane, if it is not the default.
 pub(super) const VIEW: SectionId = *b"VIEW";
 
 /// Every section that a decoder of this version understands.
-pub(super) const ALL: [SectionId; 10] =
-    [MANIFEST, NETWORKS, POSITIONS, MASKS, CONTEXT, PLANES, REGRESSION, ATTRIBUTES, UNIT, VIEW];
+pub(super) const ALL: [SectionId; 11] =
+    [MANIFEST, NETWORKS, POSITIONS, MASKS, CONTEXT, PLANES, REGRESSION, ATTRIBUTES, UNIT, FRAME, VIEW];
 
 /// Those that every file has.
 pub(super) const ALWAYS: [SectionId; 5] = [MANIFEST, NETWORKS, POSITIONS, MASKS, ATTRIBUTES];
@@ -44,6 +46,7 @@ pub(super) fn name(id: SectionId) -> &'static str {
         REGRESSION => "regression",
         ATTRIBUTES => "attributes",
         UNIT => "unit",
+        FRAME => "frame",
         VIEW => "view",
         _ => "unknown",
     }

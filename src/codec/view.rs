@@ -1,14 +1,34 @@
-//! The optional sections that rendering needs: near plane and scene scale. A file without one has the default.
+//! The optional sections that rendering needs: frame, near plane and scene scale. A file without one has the default.
+
+use glam::DVec3;
 
 use super::{
     bytes::{Reader, Writer},
     container::Section,
     error::Result,
 };
-use crate::domain::{NearPlane, SceneScale};
+use crate::domain::{NearPlane, SceneFrame, SceneScale};
 
 const VIEW: &str = "view";
 const UNIT: &str = "unit";
+const FRAME: &str = "frame";
+
+/// The section of the frame, if one is needed: offset and scale.
+pub(super) fn encode_frame(frame: SceneFrame) -> Option<Vec<u8>> {
+    let numbers = || frame.offset().to_array().into_iter().chain([frame.scale()]);
+    (!frame.is_world()).then(|| numbers().flat_map(f64::to_le_bytes).collect())
+}
+
+/// The value of that section, or the default without it.
+pub(super) fn decode_frame(section: Option<Section<'_>>) -> Result<SceneFrame> {
+    let Some(section) = section else { return Ok(SceneFrame::WORLD) };
+    let mut reader = Reader::new(FRAME, section.bytes);
+    let [x, y, z, scale] =
+        [reader.f64("offset")?, reader.f64("offset")?, reader.f64("offset")?, reader.f64("scale")?];
+    reader.end()?;
+    let frame = SceneFrame::new(DVec3::new(x, y, z), scale);
+    frame.ok_or_else(|| reader.malformed("frame", format!("{x} {y} {z} {scale}")))
+}
 
 /// The section of the near plane, if one is needed.
 pub(super) fn encode_near(near: NearPlane) -> Option<Vec<u8>> {

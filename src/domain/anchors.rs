@@ -1,12 +1,12 @@
 //! The trained scene on the host: anchors on an integer lattice, their attributes, and the three render networks.
 //!
-//! All per-anchor arrays are anchor-major with the lengths that [`AnchorScene::check`] demands. Scalings are held
+//! All coordinates and lengths are those of the scene's [`SceneFrame`]. All per-anchor arrays are anchor-major with the lengths that [`AnchorScene::check`] demands. Scalings are held
 //! linear (the exponential of the trained logarithm), as the codec quantises them (METHOD.md §4.2).
 
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-use super::{NearPlane, SceneScale};
+use super::{NearPlane, SceneFrame, SceneScale};
 
 /// Extra inputs that every render network gets beside the anchor feature: the unit view direction and the distance
 /// in the scene's [`SceneScale`].
@@ -18,14 +18,14 @@ pub const SCALINGS_PER_ANCHOR: usize = 6;
 /// The lattice that anchor positions live on: `position = cell * voxel + origin`, per axis.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Lattice {
-    /// Edge length of a cell in world units.
+    /// Edge length of a cell, in the units of the scene's frame.
     pub voxel: f32,
-    /// World position of cell (0, 0, 0).
+    /// Position of cell (0, 0, 0) in the scene's frame.
     pub origin: [f32; 3],
 }
 
 impl Lattice {
-    /// World position of a cell: one f32 multiply, then one f32 add, per axis.
+    /// Position of a cell in the scene's frame: one f32 multiply, then one f32 add, per axis.
     #[must_use]
     pub fn position(&self, cell: [i32; 3]) -> [f32; 3] {
         std::array::from_fn(|axis| cell[axis] as f32 * self.voxel + self.origin[axis])
@@ -68,7 +68,9 @@ pub struct RenderNetworks {
 /// A scene of anchors, ready to be encoded or rendered.
 #[derive(Debug, Clone, PartialEq)]
 pub struct AnchorScene {
-    /// Where cells are in the world.
+    /// Where the scene's coordinates are in the world.
+    pub frame: SceneFrame,
+    /// Where cells are in the frame.
     pub lattice: Lattice,
     /// Integer cell of each anchor; no cell twice.
     pub cells: Vec<[i32; 3]>,

@@ -91,6 +91,11 @@ impl Pose {
         Ok(Self { rotation, translation })
     }
 
+    /// A pose whose rotation is one of another pose, bit for bit.
+    pub(super) fn of_rigid(rotation: DMat3, translation: DVec3) -> Self {
+        Self { rotation, translation }
+    }
+
     /// A pose from a camera-to-world matrix whose camera axes follow `convention`.
     ///
     /// # Errors

@@ -92,7 +92,7 @@ pub struct NamedCamera {
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct PointCloud {
     /// World positions.
-    pub positions: Vec<[f32; 3]>,
+    pub positions: Vec<[f64; 3]>,
     /// sRGB colours, as many as positions.
     pub colors: Vec<[u8; 3]>,
 }

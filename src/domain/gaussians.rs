@@ -3,7 +3,7 @@
 //! Plain Gaussians hold what the field's `.ply` files hold, before activation; all arrays have the lengths that
 //! [`GaussianScene::check`] demands.
 
-use super::{AnchorScene, NearPlane, anchors::SceneShapeError};
+use super::{AnchorScene, NearPlane, SceneFrame, anchors::SceneShapeError};
 
 /// Spherical-harmonic coefficients a colour channel, up to degree 3.
 pub const SH_COEFFICIENTS: usize = 16;
@@ -11,9 +11,11 @@ pub const SH_COEFFICIENTS: usize = 16;
 /// Plain Gaussians as 3D Gaussian splatting trains and stores them.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct GaussianScene {
-    /// World positions.
+    /// Where the scene's coordinates are in the world.
+    pub frame: SceneFrame,
+    /// Positions in the frame.
     pub means: Vec<[f32; 3]>,
-    /// Natural logarithms of the standard deviations along the axes, in world units.
+    /// Natural logarithms of the standard deviations along the axes, in the frame's units.
     pub log_scales: Vec<[f32; 3]>,
     /// Rotations w, x, y, z, of any length but zero.
     pub quats: Vec<[f32; 4]>,
@@ -92,6 +94,24 @@ impl Scene {
         }
     }
 
+    /// The same scene in another place: with its coordinates, as they are, in `frame`.
+    #[must_use]
+    pub fn in_frame(self, frame: SceneFrame) -> Self {
+        match self {
+            Scene::Anchors(scene) => Scene::Anchors(AnchorScene { frame, ..scene }),
+            Scene::Gaussians(scene) => Scene::Gaussians(GaussianScene { frame, ..scene }),
+        }
+    }
+
+    /// Where its coordinates are in the world.
+    #[must_use]
+    pub fn frame(&self) -> SceneFrame {
+        match self {
+            Scene::Anchors(scene) => scene.frame,
+            Scene::Gaussians(scene) => scene.frame,
+        }
+    }
+
     /// Anchors; zero in a scene of plain Gaussians.
     #[must_use]
     pub fn anchors(&self) -> usize {
@@ -126,6 +146,7 @@ mod tests {
 
     fn scene() -> GaussianScene {
         GaussianScene {
+            frame: SceneFrame::WORLD,
             means: vec![[0.0; 3]; 2],
             log_scales: vec![[0.0; 3]; 2],
             quats: vec![[1.0, 0.0, 0.0, 0.0]; 2],

@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::{Background, Conventions, Convergence, Digest, LpipsNetwork};
+use super::{Background, Conventions, Convergence, Digest, LpipsNetwork, SceneFrame};
 
 /// Image quality of one view, from 8-bit images.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -216,6 +216,9 @@ pub struct JobMetrics {
     pub stages: Option<CodingStages>,
     /// The renderer against the f64 reference; null where it was not compared.
     pub rendering: Option<RenderingError>,
+    /// Where the scene's own coordinates are in the world; null for jobs of versions that trained in world coordinates.
+    #[serde(default)]
+    pub frame: Option<SceneFrame>,
     /// The points of `rd_curve` in the order given; the other metrics are those of the first. Else empty.
     #[serde(default)]
     pub rd_curve: Vec<CurvePoint>,

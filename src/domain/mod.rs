@@ -50,6 +50,7 @@ pub mod problem;
 pub mod progress;
 #[cfg(feature = "service")]
 pub mod random_source;
+pub mod scene_frame;
 pub mod scene_scale;
 pub mod series;
 pub mod spread;
@@ -118,6 +119,7 @@ pub use problem::{Problem, ProblemType};
 pub use progress::{CancelFlag, Phase, Progress};
 #[cfg(feature = "service")]
 pub use random_source::{RandomError, RandomSource, SystemRandom};
+pub use scene_frame::SceneFrame;
 pub use scene_scale::SceneScale;
 pub use series::{SERIES_POINTS, SeriesPoint, series_bucket, with_cumulative_seconds};
 pub use view::{View, ViewError, ViewRequest};

@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 /// Largest near plane as a fraction of the scene's extent.
 const MAX_EXTENT_FRACTION: f32 = 0.05;
 
-/// Depth of the near plane in world units: finite and positive.
+/// Depth of the near plane in units of the scene's frame: finite and positive.
 #[derive(Debug, Clone, Copy, PartialEq, PartialOrd, Serialize, Deserialize)]
 #[serde(try_from = "f32", into = "f32")]
 pub struct NearPlane(f32);
@@ -20,7 +20,7 @@ impl NearPlane {
     /// The published depth (METHOD.md §3.1), and that of files that state none.
     pub const DEFAULT: Self = Self(0.2);
 
-    /// The near plane of a scene of this extent (its cameras' radius, in world units): the default, but at most a
+    /// The near plane of a scene of this extent (its cameras' radius, in units of its frame): the default, but at most a
     /// twentieth of the extent.
     #[must_use]
     pub fn of_extent(extent: f32) -> Self {
@@ -33,7 +33,7 @@ impl NearPlane {
         (depth.is_normal() && depth > 0.0).then_some(Self(depth))
     }
 
-    /// In world units.
+    /// In units of the scene's frame.
     #[must_use]
     pub fn depth(self) -> f32 {
         self.0

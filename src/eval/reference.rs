@@ -27,12 +27,8 @@ pub fn reference_view(
     background: Background,
     cutoffs: Cutoffs,
 ) -> Result<Vec<[f64; 3]>, RenderError> {
-    let near = match scene {
-        Scene::Anchors(scene) => scene.near,
-        Scene::Gaussians(scene) => scene.near,
-    };
-    let settings = RasterSettings { near: near.depth(), ..RasterSettings::default() };
-    let projection = Projection::new(camera, &settings);
+    let settings = RasterSettings { near: scene.near().depth(), ..RasterSettings::default() };
+    let projection = Projection::new(&scene.frame().camera_from_world(camera), &settings);
     let gaussians = gaussians(scene, &projection)?;
     let rendering = forward(&projection, &gaussians, background.rgb().map(f64::from).into(), cutoffs);
     Ok(rendering.frame.image.into_iter().map(|[red, green, blue, _]| [red, green, blue]).collect())

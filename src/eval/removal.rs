@@ -10,7 +10,7 @@ use std::{ops::Range, sync::Arc};
 
 use super::removal_signs::signs;
 use crate::{
-    domain::{AnchorScene, Background, Frame},
+    domain::{AnchorScene, Background, Camera, Frame, SceneFrame},
     gpu::Device,
     model::{AnchorRows, NetworkLayout, Shape},
     render::{DeviceAnchors, NeuralGaussians, RasterSettings, Rasterizer, RenderError},
@@ -84,6 +84,7 @@ struct Probe<'a> {
     neural: NeuralGaussians,
     raster: Rasterizer,
     background: Background,
+    frame: SceneFrame,
 }
 
 impl<'a> Probe<'a> {
@@ -103,6 +104,7 @@ impl<'a> Probe<'a> {
             neural: NeuralGaussians::new(Arc::clone(device), shape, settings.near, scene.scene_scale)?,
             raster: Rasterizer::new(Arc::clone(device), settings)?,
             background,
+            frame: scene.frame,
         })
     }
 
@@ -113,7 +115,8 @@ impl<'a> Probe<'a> {
         numbers: Range<u32>,
         costs: &mut RemovalCosts,
     ) -> Result<(), RenderError> {
-        self.render(frame)?;
+        let camera = &self.frame.camera_from_world(&frame.camera);
+        self.render(camera)?;
         let photograph = frame.image.load()?.over(self.background.rgb8());
         let image = self.device.read(self.raster.image())?;
         let error: Vec<[f32; 4]> = image
@@ -124,33 +127,33 @@ impl<'a> Probe<'a> {
                 [twice(0), twice(1), twice(2), 0.0]
             })
             .collect();
-        let by_error = self.opacity_gradients(frame, &error)?;
+        let by_error = self.opacity_gradients(camera, &error)?;
         let (visible, opacities) = self.neural.visible_opacities()?;
         let view = Visible { list: &visible, opacities: &opacities, offsets: self.anchors.shape.offsets };
         view.add(&by_error, costs, |change| -change);
         let share = 1.0 / f64::from(numbers.end - numbers.start);
         for number in numbers {
-            let by_signs = self.opacity_gradients(frame, &signs(number, image.len()))?;
+            let by_signs = self.opacity_gradients(camera, &signs(number, image.len()))?;
             view.add(&by_signs, costs, |change| share * change * change);
         }
         Ok(())
     }
 
-    fn render(&mut self, frame: &Frame) -> Result<(), RenderError> {
+    fn render(&mut self, camera: &Camera) -> Result<(), RenderError> {
         self.raster.submit_with_room("view to probe", |raster, recorder| {
-            self.neural.forward(recorder, &self.anchors, &frame.camera, 0.0)?;
-            raster.forward(recorder, self.neural.gaussians(), &frame.camera, self.background.rgb())
+            self.neural.forward(recorder, &self.anchors, camera, 0.0)?;
+            raster.forward(recorder, self.neural.gaussians(), camera, self.background.rgb())
         })?;
         Ok(())
     }
 
     /// The gradients by the opacities of the view's Gaussians where `v_image` are those by its pixels.
-    fn opacity_gradients(&mut self, frame: &Frame, v_image: &[[f32; 4]]) -> Result<Vec<f32>, RenderError> {
+    fn opacity_gradients(&mut self, camera: &Camera, v_image: &[[f32; 4]]) -> Result<Vec<f32>, RenderError> {
         let v_image = self.device.upload("gradient of a probe", v_image)?;
         let gaussians = self.neural.gaussians().clone();
         let gradients = self.neural.gaussian_gradients()?.clone();
         let mut recorder = self.device.recorder("probe");
-        self.raster.backward(&mut recorder, &gaussians, &frame.camera, &v_image, &gradients)?;
+        self.raster.backward(&mut recorder, &gaussians, camera, &v_image, &gradients)?;
         recorder.submit()?;
         let count = self.neural.counts()?[0] as usize;
         let rows = self.device.read_range(&gradients.geometry, 0, count)?;

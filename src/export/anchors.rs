@@ -7,8 +7,9 @@
 //! `NETWORK.i.bias` f32 `[outputs]`. Where some offsets are off there is also `masks` bool `[N, K]`. An anchor's position
 //! is `cells * voxel + origin`: cells take the four bytes a coordinate that floats would, and keep the lattice. The
 //! metadata key `tcgs` holds a JSON object with `version`, `background`, `dataset` if it is known, `near` where views do not
-//! begin at the usual depth, and `unit` if the networks' distances are not in the world's unit; `version` is 2 then,
-//! and 1 everywhere else.
+//! begin at the usual depth, and `unit` if the networks' distances are not in the frame's unit; `version` is 2 then. If coordinates
+//! are not the world's there is `frame`, with `offset` and `scale` (world = offset + scale * coordinate); `version` is 3 then.
+//! Everywhere else it is 1.
 
 use std::collections::HashMap;
 
@@ -18,7 +19,7 @@ use thiserror::Error;
 
 use crate::domain::{
     AnchorScene, Background, ByteCounts, DenseLayer, Digest, Lattice, Mlp, NearPlane, RenderNetworks,
-    SceneScale,
+    SceneFrame, SceneScale,
 };
 
 /// Version of this layout of tensors.
@@ -26,6 +27,9 @@ const VERSION: u32 = 1;
 
 /// Version of files that state a scene scale: a reader that ignored it would render another image, and must refuse.
 const VERSION_WITH_UNIT: u32 = 2;
+
+/// Version of files that state a frame, likewise.
+const VERSION_WITH_FRAME: u32 = 3;
 
 /// Most layers that a file may claim; more than any network of this program has.
 const MAX_LAYERS: usize = 16;
@@ -75,6 +79,8 @@ struct Metadata {
     near: NearPlane,
     #[serde(rename = "unit", default, skip_serializing_if = "SceneScale::is_default")]
     scene_scale: SceneScale,
+    #[serde(default, skip_serializing_if = "SceneFrame::is_world")]
+    frame: SceneFrame,
 }
 
 /// The bytes of a file; the same content gives the same bytes.
@@ -116,10 +122,15 @@ pub fn write(
         .collect::<Result<Vec<_>, safetensors::SafeTensorError>>()
         .map_err(|error| AnchorFileError::Scene(error.to_string()))?;
     // One key: several would be written in the random order of a hash map.
-    let version = if scene.scene_scale.is_default() { VERSION } else { VERSION_WITH_UNIT };
-    let (near, scene_scale) = (scene.near, scene.scene_scale);
-    let metadata = serde_json::to_string(&Metadata { version, background, dataset, near, scene_scale })
-        .map_err(|error| AnchorFileError::Scene(error.to_string()))?;
+    let version = match (scene.frame.is_world(), scene.scene_scale.is_default()) {
+        (false, _) => VERSION_WITH_FRAME,
+        (true, false) => VERSION_WITH_UNIT,
+        (true, true) => VERSION,
+    };
+    let AnchorScene { near, scene_scale, frame, .. } = *scene;
+    let metadata =
+        serde_json::to_string(&Metadata { version, background, dataset, near, scene_scale, frame })
+            .map_err(|error| AnchorFileError::Scene(error.to_string()))?;
     safetensors::serialize(views, Some(HashMap::from([("tcgs".to_owned(), metadata)])))
         .map_err(|error| AnchorFileError::Scene(error.to_string()))
 }
@@ -164,8 +175,8 @@ pub fn read(bytes: &[u8]) -> Result<AnchorFile, AnchorFileError> {
         .ok_or_else(|| AnchorFileError::Metadata("is missing".to_owned()))?;
     let metadata: Metadata = serde_json::from_str(text)
         .map_err(|error| AnchorFileError::Metadata(format!("cannot be read ({error})")))?;
-    if ![VERSION, VERSION_WITH_UNIT].contains(&metadata.version) {
-        let known = format!("{VERSION} or {VERSION_WITH_UNIT}");
+    if !(VERSION..=VERSION_WITH_FRAME).contains(&metadata.version) {
+        let known = format!("{VERSION} to {VERSION_WITH_FRAME}");
         return Err(AnchorFileError::Metadata(format!("has version {}, not {known}", metadata.version)));
     }
 
@@ -197,6 +208,7 @@ pub fn read(bytes: &[u8]) -> Result<AnchorFile, AnchorFileError> {
         },
         near: metadata.near,
         scene_scale: metadata.scene_scale,
+        frame: metadata.frame,
     };
     reader.finish()?;
     scene.check().map_err(|error| AnchorFileError::Scene(error.to_string()))?;
@@ -330,6 +342,7 @@ mod tests {
             networks: RenderNetworks { opacity: mlp(2), covariance: mlp(14), color: mlp(6) },
             near: NearPlane::of_extent(1.0),
             scene_scale: SceneScale::DEFAULT,
+            frame: SceneFrame::WORLD,
         }
     }
 
@@ -350,7 +363,7 @@ mod tests {
 
     #[test]
     fn a_distance_unit_makes_a_file_that_programs_without_one_refuse() {
-        let scene_scale = SceneScale::from_typical_distance(0.004);
+        let scene_scale = SceneScale::new(0.004).expect("a length");
         let scene = AnchorScene { scene_scale, ..scene() };
         let bytes = write(&scene, Background::White, None).expect("writes");
         assert_eq!(read(&bytes).expect("reads").scene, scene);
@@ -376,8 +389,28 @@ mod tests {
         }
         let mut later = bytes.clone();
         assert_eq!(later[key("version")], b'2');
-        later[key("version")] = b'3';
-        assert!(read(&later).expect_err("refused").to_string().contains("has version 3, not 1 or 2"));
+        later[key("version")] = b'4';
+        assert!(read(&later).expect_err("refused").to_string().contains("has version 4, not 1 to 3"));
+    }
+
+    #[test]
+    fn a_frame_makes_a_file_that_programs_without_one_refuse() {
+        let frame = SceneFrame::new([5e5, -4e6, 0.5].into(), 1.25).expect("a frame");
+        let scene = AnchorScene { frame, ..scene() };
+        let bytes = write(&scene, Background::White, None).expect("writes");
+        assert_eq!(read(&bytes).expect("reads").scene, scene);
+        let behind = |text: &str| {
+            let found = bytes.windows(text.len()).position(|window| window == text.as_bytes());
+            found.map(|at| at + text.len())
+        };
+        assert!(behind(r#"\"version\":3"#).is_some());
+        let at = behind(r#"\"scale\":1.25"#).expect("stated") - 4;
+        for hostile in ["0.00", "-1.0", "null"] {
+            let mut bytes = bytes.clone();
+            bytes[at..at + 4].copy_from_slice(hostile.as_bytes());
+            let error = read(&bytes).expect_err("refused").to_string();
+            assert!(error.contains("cannot be read"), "{hostile}: {error}");
+        }
     }
 
     #[test]

@@ -8,6 +8,7 @@ pub mod bake;
 mod ply;
 mod ply_note;
 pub mod spz;
+pub mod world;
 
 pub use bake::bake;
 pub use ply::{PlyError, from_ply, ply_bytes, to_ply};

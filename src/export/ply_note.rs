@@ -1,8 +1,9 @@
-//! A comment in the header of our `.ply` files, which other programs skip: background, dataset, and near plane if it is not the default.
+//! A comment in the header of our `.ply` files, which other programs skip: background, dataset, near plane if it is not the default, and
+//! the offset that coordinates are relative to, if there is one.
 
 use serde::{Deserialize, Serialize};
 
-use crate::domain::{Background, Digest, NearPlane};
+use crate::domain::{Background, Digest, NearPlane, SceneFrame};
 
 /// Start of the comment; JSON follows.
 const MARK: &str = "comment tcgs ";
@@ -14,7 +15,7 @@ const BEFORE: &[u8] = b"\nelement ";
 const HEADER: usize = 1 << 14;
 
 /// Properties of a scene that `.ply` has no field for.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct PlyNote {
     /// The background that the scene was trained on.
     pub background: Background,
@@ -23,6 +24,9 @@ pub struct PlyNote {
     /// Near plane, as in training.
     #[serde(default, skip_serializing_if = "NearPlane::is_default")]
     pub near: NearPlane,
+    /// Where the file's coordinates are in the world: add the offset to a position to get its place there.
+    #[serde(default, skip_serializing_if = "SceneFrame::is_world")]
+    pub frame: SceneFrame,
 }
 
 impl PlyNote {
@@ -74,10 +78,12 @@ mod tests {
         };
         let plain = to_ply(&scene);
         assert_eq!(PlyNote::find(&plain), None);
-        for (dataset, near) in
-            [(None, NearPlane::default()), (Some(Digest::of(b"photographs")), NearPlane::of_extent(0.1))]
-        {
-            let note = PlyNote { background: Background::White, dataset, near };
+        let far = SceneFrame::new(glam::DVec3::new(5e5, 4e6, -0.5), 1.0).expect("a frame");
+        for (dataset, near, frame) in [
+            (None, NearPlane::default(), SceneFrame::WORLD),
+            (Some(Digest::of(b"photographs")), NearPlane::of_extent(0.1), far),
+        ] {
+            let note = PlyNote { background: Background::White, dataset, near, frame };
             let noted = note.add_to(plain.clone());
             assert_eq!(PlyNote::find(&noted), Some(note));
             assert_eq!(from_ply(&noted).expect("a scene"), scene);

@@ -151,8 +151,8 @@ fn difference(points: &PointCloud, camera: &Camera, image: &Image) -> Option<f64
     let channels = usize::from(image.channels());
     let k = &camera.intrinsics;
     let pairs = points.positions.iter().zip(&points.colors).step_by(step);
-    let of_point = |(position, color): (&[f32; 3], &[u8; 3])| {
-        let seen = camera.pose.rotation() * DVec3::from(position.map(f64::from)) + camera.pose.translation();
+    let of_point = |(position, color): (&[f64; 3], &[u8; 3])| {
+        let seen = camera.pose.rotation() * DVec3::from(*position) + camera.pose.translation();
         let (x, y) = (k.fx * seen.x / seen.z + k.cx, k.fy * seen.y / seen.z + k.cy);
         let is_in_view =
             seen.z > 0.0 && x >= 0.0 && y >= 0.0 && x < f64::from(k.width) && y < f64::from(k.height);

@@ -88,8 +88,8 @@ pub(super) fn points(reader: &mut dyn BufRead, length: u64, cloud: &mut Points) 
     let has_scale = !has_harmonics && scalar.is_some_and(|scalar| !matches!(scalar, Scalar::U8 | Scalar::I8));
     let mut unscaled: Vec<[f32; 3]> = Vec::new();
     let mut add = |index: usize, row: &[f64]| {
-        let position = [x, y, z].map(|column| row[column] as f32);
-        if position.iter().any(|value| !value.is_finite()) {
+        let position = [x, y, z].map(|column| row[column]);
+        if position.iter().any(|value| !(*value as f32).is_finite()) {
             return Err(refused(format!("vertex {index} is not finite")));
         }
         let color = colors.map(|columns| columns.map(|column| row[column] as f32));

@@ -36,7 +36,7 @@ impl Points {
     ///
     /// # Errors
     /// [`IngestErrorKind::TooManyPoints`].
-    pub(super) fn push(&mut self, position: [f32; 3], color: [u8; 3]) -> Result<()> {
+    pub(super) fn push(&mut self, position: [f64; 3], color: [u8; 3]) -> Result<()> {
         if self.count == self.limit {
             return Err(IngestErrorKind::TooManyPoints { limit: self.limit });
         }

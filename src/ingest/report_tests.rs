@@ -419,7 +419,7 @@ fn coordinates_of_maps_and_of_the_earth_have_a_note() {
             noted(&at(x, y, z, spread), "as in UTM or ECEF coordinates");
         }
     }
-    noted(&at(5e4, 0.0, 0.0, 6.0), "subtract (50003, 0, 0) from all cameras and points");
+    noted(&at(5e4, 0.0, 0.0, 6.0), "around (50003, 0, 0), and within 3.000 of each other");
     for near in
         [at(0.0, 0.0, 0.0, 6.0), at(1e3, 1e3, 0.0, 6.0), at(5e5, 0.0, 0.0, 3e5), at(0.0, 0.0, 0.0, 0.0)]
     {

@@ -351,7 +351,8 @@ impl Comparer<'_> {
     }
 }
 
-/// A note on coordinates so far from the origin that single precision loses detail, as those of maps and of the whole Earth are.
+/// A note on coordinates as far from the origin as those of maps and of the whole Earth are: other programs read them in single
+/// precision.
 fn distance_note(views: &[SurveyedFrame]) -> Option<String> {
     let centers: Vec<DVec3> = views.iter().map(|view| view.frame.pose.center()).collect();
     let mean = centers.iter().sum::<DVec3>() / centers.len().max(1) as f64;
@@ -367,8 +368,9 @@ fn distance_note(views: &[SurveyedFrame]) -> Option<String> {
     // Zero without a sign.
     let DVec3 { x, y, z } = mean.round() + 0.0;
     Some(format!(
-        "the cameras are {distance:.0} units from the origin and within {radius:.3} of each other, as in UTM or ECEF coordinates: \
-         single precision has steps of {step} there, so detail is lost; subtract ({x}, {y}, {z}) from all cameras and points"
+        "the cameras are {distance:.0} units from the origin, around ({x}, {y}, {z}), and within {radius:.3} of each other, as in UTM \
+         or ECEF coordinates: training does not mind, but single precision has steps of {step} there, so exported files may be \
+         relative to an offset, which they state"
     ))
 }
 

@@ -1,6 +1,6 @@
 //! Anchors as the device holds them: one row of parameters an anchor.
 
-use crate::domain::{AnchorScene, Lattice, NearPlane, RenderNetworks, SceneScale};
+use crate::domain::{AnchorScene, Lattice, NearPlane, RenderNetworks, SceneFrame, SceneScale};
 
 /// Widths of the model.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -160,6 +160,7 @@ impl AnchorRows {
             networks,
             near: NearPlane::default(),
             scene_scale: SceneScale::default(),
+            frame: SceneFrame::WORLD,
         };
         for (anchor, mask) in self.masks.iter().enumerate() {
             let row = self.row(anchor);

@@ -124,6 +124,7 @@ mod tests {
             coding: None,
             stages: None,
             rendering: None,
+            frame: None,
             rd_curve: Vec::new(),
         };
         FinishedBranch { file: b"a file".to_vec(), metrics }

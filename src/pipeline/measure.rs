@@ -7,8 +7,9 @@ use super::{
     stages::{coding_stages, rendering_error},
 };
 use crate::{
-    domain::{Background, Conventions, Frame, JobMetrics, PhaseSeconds, Scores},
+    domain::{Background, Conventions, Frame, JobMetrics, PhaseSeconds, Scene, Scores},
     eval::{Lpips, ViewMeasurement, mean_scores_with},
+    export::world::{Origin, in_world_units},
     render::SceneRenderer,
     train::Trained,
 };
@@ -42,7 +43,10 @@ pub(super) fn measure(
     let train = score(&inputs.train_views(MEASURED_TRAIN_VIEWS))?;
     drop(renderer);
     // Compression-aware training leaves a scene that is rounded already.
-    let unrounded = trained.unrounded.as_ref().unwrap_or(&trained.scene);
+    let unrounded = match trained.unrounded.as_ref().unwrap_or(&trained.scene) {
+        Scene::Gaussians(scene) => &Scene::Gaussians(in_world_units(scene, Origin::Nearby)),
+        anchors => anchors,
+    };
     let before = if *unrounded == file.scene {
         test.psnr
     } else {
@@ -74,6 +78,7 @@ pub(super) fn measure(
         coding: written.coding,
         stages: coding_stages(inputs, background, trained, written, heartbeat)?,
         rendering: rendering_error(inputs, background, &file.scene, heartbeat)?,
+        frame: Some(trained.scene.frame()),
         rd_curve: Vec::new(),
     })
 }

@@ -7,7 +7,10 @@ use crate::{
     domain::{
         AnchorScene, Background, ByteCounts, Digest, GaussianScene, Problem, ProblemType, Scene, SceneFormat,
     },
-    export::{PlyNote, anchors, from_ply, from_spz, spz, to_ply},
+    export::{
+        PlyNote, anchors, from_ply, from_spz, spz, to_ply,
+        world::{Origin, in_world_units},
+    },
 };
 
 /// A scene as read from a file.
@@ -54,10 +57,11 @@ pub fn write_anchors(
         .map_err(|error| Problem::new(ProblemType::Internal, format!("the scene cannot be written: {error}")))
 }
 
-/// Writes the `3dgs` baseline: the `.ply` of the reference implementation, with its provenance in a comment.
+/// Writes the `3dgs` baseline: the `.ply` of the reference implementation, in world units, with its provenance in a comment.
 #[must_use]
 pub fn write_gaussians(scene: &GaussianScene, background: Background, dataset: Option<Digest>) -> Vec<u8> {
-    PlyNote { background, dataset, near: scene.near }.add_to(to_ply(scene))
+    let scene = in_world_units(scene, Origin::Nearby);
+    PlyNote { background, dataset, near: scene.near, frame: scene.frame }.add_to(to_ply(&scene))
 }
 
 fn read_tcgs(bytes: &[u8]) -> Result<SceneFile, Problem> {
@@ -89,6 +93,7 @@ fn read_gaussians(bytes: &[u8]) -> Result<SceneFile, Problem> {
     let mut scene = from_ply(bytes).map_err(undecodable)?;
     let note = PlyNote::find(bytes);
     scene.near = note.map_or(scene.near, |note| note.near);
+    scene.frame = note.map_or(scene.frame, |note| note.frame);
     Ok(SceneFile {
         format: SceneFormat::Ply,
         decode_sha256: Digest::of(&to_ply(&scene)),

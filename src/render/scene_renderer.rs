@@ -1,4 +1,4 @@
-//! Renders finished scenes from any camera into 8-bit images, depths and alphas.
+//! Renders finished scenes from any camera into 8-bit images, depths and alphas. Cameras and depths are in the world.
 
 use std::{iter::Fuse, sync::Arc};
 
@@ -10,7 +10,7 @@ use super::{
     views::{MIN_VISIBLE_ALPHA, ScalarImage, ScalarKind},
 };
 use crate::{
-    domain::{AnchorScene, Background, Camera, GaussianScene, Image, NearPlane, Scene},
+    domain::{AnchorScene, Background, Camera, GaussianScene, Image, NearPlane, Scene, SceneFrame},
     gpu::{Device, Recorder},
     model::{AnchorRows, GaussianRows, NetworkLayout, Shape},
 };
@@ -25,6 +25,7 @@ pub struct SceneRenderer {
     depth: Option<DepthShader>,
     background: Background,
     near: NearPlane,
+    frame: SceneFrame,
 }
 
 /// The parameters of the scene on the device.
@@ -70,7 +71,8 @@ impl SceneRenderer {
         let anchors = upload(device, scene)?;
         let (shape, near) = (anchors.shape, scene.near.depth());
         let neural = Box::new(NeuralGaussians::new(Arc::clone(device), shape, near, scene.scene_scale)?);
-        Self::of_source(device, SceneBuffers::Anchors { anchors, neural }, background, scene.near)
+        let place = (scene.near, scene.frame);
+        Self::of_source(device, SceneBuffers::Anchors { anchors, neural }, background, place)
     }
 
     /// Uploads plain Gaussians.
@@ -83,21 +85,22 @@ impl SceneRenderer {
         plain.set_degree(u32::from(scene.degree))?;
         let rows = DeviceGaussians::upload(device, &GaussianRows::from_scene(scene))?;
         let source = SceneBuffers::Gaussians { rows, plain: Box::new(plain) };
-        Self::of_source(device, source, background, scene.near)
+        Self::of_source(device, source, background, (scene.near, scene.frame))
     }
 
     fn of_source(
         device: &Arc<Device>,
         source: SceneBuffers,
         background: Background,
-        near: NearPlane,
+        (near, frame): (NearPlane, SceneFrame),
     ) -> Result<Self> {
         let settings = RasterSettings { near: near.depth(), ..RasterSettings::default() };
         let raster = Rasterizer::new(Arc::clone(device), settings)?;
-        Ok(Self { source, raster, packed: None, depth: None, background, near, device: Arc::clone(device) })
+        let device = Arc::clone(device);
+        Ok(Self { source, raster, packed: None, depth: None, background, near, frame, device })
     }
 
-    /// Replaces the scene by another of the same shape, near plane and scene scale; rendering buffers are kept.
+    /// Replaces the scene by another of the same shape, frame, near plane and scene scale; rendering buffers are kept.
     ///
     /// # Errors
     /// [`RenderError::Scene`] for networks that this renderer does not know or another shape; faults of the device.
@@ -107,13 +110,15 @@ impl SceneRenderer {
             SceneBuffers::Anchors { anchors, neural }
                 if anchors.shape == next.shape
                     && scene.near == self.near
+                    && scene.frame == self.frame
                     && scene.scene_scale == neural.scene_scale() =>
             {
                 *anchors = next;
                 Ok(())
             }
             SceneBuffers::Anchors { .. } | SceneBuffers::Gaussians { .. } => {
-                let fault = "its widths, near plane or scene scale differ from those of the previous scene";
+                let fault =
+                    "its widths, frame, near plane or scene scale differ from those of the previous scene";
                 Err(RenderError::Scene(fault.to_owned()))
             }
         }
@@ -138,8 +143,9 @@ impl SceneRenderer {
             none => none.insert(PackedImage::new(&device)?),
         };
         let mut recorder = device.recorder("view");
-        let gaussians = self.source.forward(&mut recorder, &camera)?;
-        self.raster.forward(&mut recorder, gaussians, &camera, self.background.rgb())?;
+        let inside = self.frame.camera_from_world(&camera);
+        let gaussians = self.source.forward(&mut recorder, &inside)?;
+        self.raster.forward(&mut recorder, gaussians, &inside, self.background.rgb())?;
         packed.record(&device, &mut recorder, self.raster.image(), self.raster.counters())?;
         recorder.submit()?;
         Ok(PendingView { camera, image: packed.start_read(&device)?, capacity: self.raster.capacity() })
@@ -169,8 +175,9 @@ impl SceneRenderer {
     pub fn submit(&mut self, camera: &Camera) -> Result<()> {
         let device = Arc::clone(&self.device);
         let mut recorder = device.recorder("view");
-        let gaussians = self.source.forward(&mut recorder, camera)?;
-        self.raster.forward(&mut recorder, gaussians, camera, self.background.rgb())?;
+        let inside = self.frame.camera_from_world(camera);
+        let gaussians = self.source.forward(&mut recorder, &inside)?;
+        self.raster.forward(&mut recorder, gaussians, &inside, self.background.rgb())?;
         Ok(recorder.submit()?)
     }
 
@@ -183,11 +190,12 @@ impl SceneRenderer {
     /// One number a pixel of the view from `camera`.
     pub fn plane(&mut self, camera: &Camera, kind: ScalarKind) -> Result<ScalarImage> {
         let pixels = self.blend(camera, kind == ScalarKind::Depth)?;
+        let scale = self.frame.scale() as f32;
         let value = |[first, _, _, transmittance]: &[f32; 4]| {
             let alpha = (1.0 - transmittance).clamp(0.0, 1.0);
             match kind {
                 ScalarKind::Alpha => alpha,
-                ScalarKind::Depth if alpha >= MIN_VISIBLE_ALPHA => first / alpha,
+                ScalarKind::Depth if alpha >= MIN_VISIBLE_ALPHA => scale * (first / alpha),
                 ScalarKind::Depth => 0.0,
             }
         };
@@ -198,6 +206,7 @@ impl SceneRenderer {
     /// Blends the colours over the background, or the depths over nothing: three channels and the transmittance.
     fn blend(&mut self, camera: &Camera, depth: bool) -> Result<Vec<[f32; 4]>> {
         let device = Arc::clone(&self.device);
+        let camera = &self.frame.camera_from_world(camera);
         if depth && self.depth.is_none() {
             self.depth = Some(DepthShader::new(&device)?);
         }

@@ -153,7 +153,7 @@ fn ply_bytes(cloud: &PointCloud) -> Vec<u8> {
     )
     .into_bytes();
     for (position, color) in cloud.positions.iter().zip(&cloud.colors) {
-        position.iter().for_each(|value| bytes.extend(value.to_le_bytes()));
+        position.iter().for_each(|value| bytes.extend((*value as f32).to_le_bytes()));
         bytes.extend(color);
     }
     bytes

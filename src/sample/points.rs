@@ -40,7 +40,8 @@ pub(super) fn cloud(scene: &Scene, cameras: &[Camera], count: usize, seed: u64) 
         if seen < MIN_CAMERAS || (point.z < 0.0 && !matches!(solid.shape, Shape::Ground { .. })) {
             continue;
         }
-        cloud.positions.push((point + jitter).as_vec3().to_array());
+        // As the file will have it.
+        cloud.positions.push((point + jitter).as_vec3().as_dvec3().to_array());
         cloud.colors.push(scene.matt_color(solid, point));
     }
     cloud
@@ -79,7 +80,7 @@ mod tests {
         let image = scene.render(camera);
         let mut differences: Vec<u8> = Vec::new();
         for (position, color) in cloud.positions.iter().zip(&cloud.colors) {
-            let point = glam::Vec3::from_array(*position).as_dvec3();
+            let point = DVec3::from_array(*position);
             if !is_in_image(camera, point) || !scene.is_visible(point + DVec3::Z * 0.01, camera.pose.center())
             {
                 continue;

@@ -35,8 +35,9 @@ const PACKED: u64 = size_of::<u32>() as u64;
 /// Most photographs on their way to the device: those of the steps of two batches.
 const IN_FLIGHT: u64 = 2 * REPORT_INTERVAL as u64;
 
-/// Host bytes a point of the cloud: position and colour, a copy of the position, and its cell in sets and trees.
-const POINT_BYTES: u64 = 15 + 12 + 128;
+/// Host bytes a point of the cloud: position and colour, both in the frame too, a copy of the position there, and its cell in sets and
+/// trees.
+const POINT_BYTES: u64 = 27 + 15 + 12 + 128;
 
 /// What decides how much a run takes.
 #[derive(Debug)]

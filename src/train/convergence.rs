@@ -123,7 +123,7 @@ impl Watch {
     }
 
     /// What to report of a run that took `steps` steps and `seconds` seconds.
-    pub(super) fn report(&self, scores: &Scores, frames: &[&Frame], steps: u32, seconds: f64) -> Convergence {
+    pub(super) fn report(&self, scores: &Scores, frames: &[Frame], steps: u32, seconds: f64) -> Convergence {
         let saved = self.steps.saturating_sub(steps);
         let given_up = scores.converged.map(|converged| {
             // As if the gain of the last tenth of the run went on to its end.

@@ -5,23 +5,28 @@ use glam::{DMat3, DVec3};
 use super::{Result, TrainError};
 use crate::domain::{Frame, Intrinsics, Layout};
 
-/// Half the side of the published box of NeRF-synthetic sets (METHOD.md §1.1). Their cameras give it to 0.5 % by the rule below.
-const PUBLISHED_HALF_SIDE: f64 = 1.3;
-
-/// How far a box may be from the published one, in its half side, to be that one.
-const PUBLISHED_WITHIN: f64 = 0.02;
-
-/// Half the side of a Blender set's box, in half the side of what a camera sees at the box's center.
+/// Half the side of a Blender set's box, in half the side of what a camera sees at the box's center. With it the published sets have the
+/// published box, 1.3 units to each side (METHOD.md §1.1), to 0.5 %.
 const SHARE_OF_VIEW: f64 = 0.9;
 
 /// Half the side of other boxes, and the most of a Blender set's, in median distances of the cameras from its center: wide lenses see far
 /// beyond what the cameras are turned to.
 const MAX_HALF_SIDE: f64 = 0.6;
 
-/// Lowest and highest corner of the box around the point nearest to all optical axes. In a Blender set, which has an object and no
-/// surroundings, it is as large as the part that cameras at the median distance see of it. Neither position nor unit of the scene
-/// matters. Cameras of the published sets have the published box.
-pub(super) fn init_bounds(layout: Layout, frames: &[&Frame]) -> ([f32; 3], [f32; 3]) {
+/// Half the side of a box at whose center all cameras are, in world units: no length is known there.
+const HALF_SIDE_WITHOUT_DISTANCE: f64 = 1.0;
+
+/// A cube in which first points lie.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct InitBox {
+    pub(super) center: DVec3,
+    /// Half the length of an edge, positive.
+    pub(super) half: f64,
+}
+
+/// The box around the point nearest to all optical axes. In a Blender set, which has an object and no surroundings, it is as large as
+/// the part that cameras at the median distance see of it. Neither position nor unit of the scene matters.
+pub(super) fn init_box(layout: Layout, frames: &[&Frame]) -> InitBox {
     let center = nearest_to_axes(frames);
     let distance = median(frames.iter().map(|frame| frame.camera.pose.center().distance(center)).collect());
     let view = median(frames.iter().map(|frame| half_view(&frame.camera.intrinsics)).collect());
@@ -29,19 +34,28 @@ pub(super) fn init_bounds(layout: Layout, frames: &[&Frame]) -> ([f32; 3], [f32;
         Layout::Blender => distance * (SHARE_OF_VIEW * view).min(MAX_HALF_SIDE),
         Layout::Nerfstudio | Layout::Colmap => distance * MAX_HALF_SIDE,
     };
-    let off = PUBLISHED_WITHIN * PUBLISHED_HALF_SIDE;
-    let is_published = layout == Layout::Blender
-        && center.abs().max_element() <= off
-        && (half - PUBLISHED_HALF_SIDE).abs() <= off;
-    let (center, half) = if is_published {
-        (DVec3::ZERO, PUBLISHED_HALF_SIDE)
-    } else if half > 0.0 {
-        (center, half)
-    } else {
-        (center, PUBLISHED_HALF_SIDE)
-    };
-    ((center - half).as_vec3().to_array(), (center + half).as_vec3().to_array())
+    InitBox { center, half: if half > 0.0 { half } else { HALF_SIDE_WITHOUT_DISTANCE } }
 }
+
+impl InitBox {
+    /// Lowest and highest corner.
+    pub(super) fn corners(&self) -> ([f32; 3], [f32; 3]) {
+        ((self.center - self.half).as_vec3().to_array(), (self.center + self.half).as_vec3().to_array())
+    }
+
+    /// Refuses a box in the world that is so far out that double precision cannot tell its points apart.
+    pub(super) fn expect_resolved(&self) -> Result<()> {
+        let distance = self.center.abs().max_element();
+        if 2.0 * self.half >= LEAST_STEPS * f64::EPSILON * distance {
+            Ok(())
+        } else {
+            Err(TrainError::FarFromOrigin { distance, side: 2.0 * self.half })
+        }
+    }
+}
+
+/// Least number of steps of double precision across a box.
+const LEAST_STEPS: f64 = 65_536.0;
 
 /// Half the longer side of what a camera sees at distance 1.
 fn half_view(k: &Intrinsics) -> f64 {
@@ -54,39 +68,41 @@ fn median(mut values: Vec<f64>) -> f64 {
     values.get(values.len() / 2).copied().unwrap_or(0.0)
 }
 
-/// Least number of steps of single precision across the box.
-const LEAST_STEPS: f32 = 4096.0;
-
-/// Refuses a box whose points single precision cannot tell apart, since it is far from the origin.
-pub(super) fn expect_resolved((low, high): ([f32; 3], [f32; 3])) -> Result<()> {
-    let side = (0..3).map(|axis| high[axis] - low[axis]).fold(f32::INFINITY, f32::min);
-    let distance = low.iter().chain(&high).map(|corner| corner.abs()).fold(0.0, f32::max);
-    if side >= LEAST_STEPS * f32::EPSILON * distance {
-        Ok(())
-    } else {
-        Err(TrainError::FarFromOrigin { distance, side })
-    }
-}
-
-/// The point with the least sum of squared distances to the optical axes, or a unit ahead of the first camera if the axes are
-/// parallel.
+/// The point with the least sum of squared distances to the optical axes. If the axes are parallel, ahead of the first camera: as far as
+/// the cameras are apart, or a world unit if they are in one place.
 fn nearest_to_axes(frames: &[&Frame]) -> DVec3 {
     let mut normal = DMat3::ZERO;
     let mut right = DVec3::ZERO;
+    // Relative to the cameras' mean: far from the origin, products of coordinates would lose the digits that differ.
+    let mean = mean_center(frames);
     for frame in frames {
         let pose = &frame.camera.pose;
         let axis = pose.rotation().transpose() * DVec3::Z;
         let across = DMat3::IDENTITY - DMat3::from_cols(axis * axis.x, axis * axis.y, axis * axis.z);
         normal += across;
-        right += across * pose.center();
+        right += across * (pose.center() - mean);
     }
     if normal.determinant() > 1e-6 * (frames.len() as f64).powi(3) {
-        return normal.inverse() * right;
+        return mean + normal.inverse() * right;
     }
+    let apart = 2.0 * radius(frames);
+    let ahead = if apart > 0.0 { apart } else { 1.0 };
     frames.first().map_or(DVec3::ZERO, |frame| {
         let pose = &frame.camera.pose;
-        pose.center() + pose.rotation().transpose() * DVec3::Z
+        pose.center() + ahead * (pose.rotation().transpose() * DVec3::Z)
     })
+}
+
+/// The mean of the cameras' places.
+fn mean_center(frames: &[&Frame]) -> DVec3 {
+    let sum: DVec3 = frames.iter().map(|frame| frame.camera.pose.center()).sum();
+    sum / frames.len().max(1) as f64
+}
+
+/// The largest distance of a camera from the mean of their places.
+pub(super) fn radius(frames: &[&Frame]) -> f64 {
+    let mean = mean_center(frames);
+    frames.iter().map(|frame| frame.camera.pose.center().distance(mean)).fold(0.0, f64::max)
 }
 
 #[cfg(test)]
@@ -105,11 +121,6 @@ mod tests {
         }
     }
 
-    fn middle(corners: ([f32; 3], [f32; 3])) -> DVec3 {
-        let (low, high) = corners;
-        (DVec3::from(low.map(f64::from)) + DVec3::from(high.map(f64::from))) / 2.0
-    }
-
     #[test]
     fn the_box_is_where_the_cameras_look_and_as_large_as_they_are_far() {
         let target = DVec3::new(100.0, -40.0, 7.0);
@@ -120,10 +131,9 @@ mod tests {
         let frames: Vec<&Frame> = frames.iter().collect();
         // These lenses see half a unit to each side at distance 1.
         for (layout, half) in [(Layout::Nerfstudio, 0.6), (Layout::Colmap, 0.6), (Layout::Blender, 0.45)] {
-            let corners = init_bounds(layout, &frames);
-            assert!(middle(corners).distance(target) < 1e-4);
-            let side = f64::from(corners.1[0] - corners.0[0]);
-            assert!((side - 2.0 * half * 26.0_f64.sqrt()).abs() < 1e-3, "{side}");
+            let found = init_box(layout, &frames);
+            assert!(found.center.distance(target) < 1e-9);
+            assert!((found.half - half * 26.0_f64.sqrt()).abs() < 1e-9, "{found:?}");
         }
     }
 
@@ -145,17 +155,13 @@ mod tests {
 
     #[test]
     fn cameras_of_the_published_sets_have_the_published_box_and_others_its_like_in_any_unit_and_place() {
-        let corners = |target: DVec3, unit: f64| {
-            let frames = around(target, 4.031_128_9 * unit);
-            init_bounds(Layout::Blender, &frames.iter().collect::<Vec<_>>())
-        };
-        assert_eq!(corners(DVec3::ZERO, 1.0), ([-1.3; 3], [1.3; 3]));
-        for unit in [0.1, 3.0, 10.0, 100.0] {
-            let target = DVec3::new(5.0, -7.0, 1.0) * unit;
-            let (low, high) = corners(target, unit);
-            assert!(middle((low, high)).distance(target) < 1e-4 * unit, "{unit}");
-            let half = f64::from(high[0] - low[0]) / 2.0;
-            assert!((half / (1.3 * unit) - 1.0).abs() < 0.01, "{unit}: {half}");
+        for unit in [0.1, 1.0, 3.0, 10.0, 100.0] {
+            for target in [DVec3::ZERO, DVec3::new(5.0, -7.0, 1.0) * unit, DVec3::new(5e5, 4e6, 0.0)] {
+                let frames = around(target, 4.031_128_9 * unit);
+                let InitBox { center, half } = init_box(Layout::Blender, &frames.iter().collect::<Vec<_>>());
+                assert!(center.distance(target) < 1e-4 * unit, "{unit} {target}: {center}");
+                assert!((half / (1.3 * unit) - 1.0).abs() < 0.01, "{unit}: {half}");
+            }
         }
     }
 
@@ -166,31 +172,38 @@ mod tests {
             let wide = Intrinsics { fx: 200.0, fy: 200.0, ..frame.camera.intrinsics };
             frame.camera = Camera::new(wide, frame.camera.pose).expect("a camera");
         }
-        let (low, high) = init_bounds(Layout::Blender, &frames.iter().collect::<Vec<_>>());
-        assert!((f64::from(high[0] - low[0]) - 6.0).abs() < 1e-3, "{low:?} {high:?}");
+        let wide = init_box(Layout::Blender, &frames.iter().collect::<Vec<_>>());
+        assert!((wide.half - 3.0).abs() < 1e-3, "{wide:?}");
     }
 
     #[test]
-    fn a_box_too_far_out_for_single_precision_is_refused() {
+    fn a_box_too_far_out_for_double_precision_is_refused() {
         let at = |distance: f64| {
             let target = DVec3::new(distance, 0.0, 0.0);
             let frames = [DVec3::X, DVec3::Y, -DVec3::X].map(|offset| frame(target + offset, target));
             let frames: Vec<&Frame> = frames.iter().collect();
-            expect_resolved(init_bounds(Layout::Nerfstudio, &frames))
+            init_box(Layout::Nerfstudio, &frames).expect_resolved()
         };
-        assert!(at(0.0).is_ok() && at(1000.0).is_ok());
-        for distance in [1e5, 1e8, 1e9] {
+        for distance in [0.0, 1000.0, 4e6, 1e9] {
+            assert!(at(distance).is_ok(), "{distance}");
+        }
+        for distance in [1e12, 1e15] {
             let error = at(distance).expect_err("too far").to_string();
             assert!(error.contains("closer to the origin"), "{error}");
         }
     }
 
     #[test]
-    fn parallel_axes_still_give_a_box() {
-        let ahead = [frame(DVec3::ZERO, DVec3::X), frame(DVec3::Y, DVec3::new(1.0, 1.0, 0.0))];
-        let frames: Vec<&Frame> = ahead.iter().collect();
-        let (low, high) = init_bounds(Layout::Colmap, &frames);
-        assert!((0..3).all(|axis| low[axis].is_finite() && low[axis] < high[axis]));
-        assert!(middle((low, high)).distance(DVec3::X) < 1e-5);
+    fn parallel_axes_still_give_a_box_in_any_unit() {
+        for unit in [0.01, 1.0, 500.0] {
+            let at = |place: DVec3| frame(place * unit, (place + DVec3::X) * unit);
+            let ahead = [at(DVec3::ZERO), at(DVec3::Y)];
+            let frames: Vec<&Frame> = ahead.iter().collect();
+            let InitBox { center, half } = init_box(Layout::Colmap, &frames);
+            assert!(half > 0.0 && half.is_finite());
+            assert!(center.distance(DVec3::X * unit) < 1e-5 * unit, "{center}");
+        }
+        let alone = frame(DVec3::ZERO, DVec3::X);
+        assert!(init_box(Layout::Colmap, &[&alone]).center.distance(DVec3::X) < 1e-9);
     }
 }

@@ -27,6 +27,7 @@ mod plain;
 mod prune_invisible;
 mod rate_control;
 mod scene_extent;
+mod scene_frame;
 mod schedule;
 mod sensitivity;
 mod statistics;

@@ -31,8 +31,8 @@ pub(super) struct Step {
 pub(super) struct Views<'a> {
     /// Free between the passes of two steps.
     pub raster: &'a mut Rasterizer,
-    /// The training photographs.
-    pub frames: &'a [&'a Frame],
+    /// The training photographs, with cameras in the scene's frame.
+    pub frames: &'a [Frame],
     pub cancel: &'a CancelFlag,
 }
 

@@ -54,7 +54,7 @@ fn packed(photograph: &Photograph, background: Background) -> Result<Vec<u32>, P
 impl Photographs {
     pub(super) fn new(
         device: &Arc<Device>,
-        frames: &[&Frame],
+        frames: &[Frame],
         background: Background,
         place: PhotographPlace,
     ) -> Self {

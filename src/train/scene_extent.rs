@@ -2,10 +2,8 @@
 //!
 //! Invariant: it depends on the dataset alone, so a resumed run has the same.
 
-use glam::DVec3;
-
-use super::{init_bounds::init_bounds, typical_distance::typical_distance};
-use crate::domain::{Dataset, Frame};
+use super::{init_bounds::radius, scene_frame::TrainingSet, typical_distance::typical_distance};
+use crate::domain::Frame;
 
 /// Over the largest distance of a camera from their mean.
 const MARGIN: f64 = 1.1;
@@ -15,27 +13,29 @@ const LEAST: f64 = 0.1;
 
 /// 1.1 times the largest distance of a training camera from the cameras' mean position (METHOD.md §1.1), but at least a tenth of
 /// their typical distance from the points, or from the box of random ones: a single camera and those of a tripod have no extent
-/// of their own. Positive, in world units.
-pub(super) fn scene_extent(dataset: &Dataset, frames: &[&Frame]) -> f32 {
-    let centers: Vec<_> = frames.iter().map(|frame| frame.camera.pose.center()).collect();
-    let mean = centers.iter().sum::<DVec3>() / centers.len().max(1) as f64;
-    let radius = centers.iter().map(|center| center.distance(mean)).fold(0.0, f64::max);
-    let distance = match &dataset.points {
-        Some(cloud) if !cloud.positions.is_empty() => typical_distance(frames, &cloud.positions),
-        _ => {
-            let (low, high) = init_bounds(dataset.layout, frames);
-            let middle = std::array::from_fn(|axis| 0.5 * low[axis] + 0.5 * high[axis]);
-            typical_distance(frames, &[middle])
+/// of their own. Positive, in units of the scene's frame.
+pub(super) fn scene_extent(set: &TrainingSet) -> f32 {
+    let frames: Vec<&Frame> = set.frames.iter().collect();
+    let distance = match &set.points {
+        Some(points) => {
+            let positions: Vec<[f64; 3]> =
+                points.positions.iter().map(|point| point.map(f64::from)).collect();
+            typical_distance(&frames, &positions)
         }
+        None => typical_distance(&frames, &[set.init_box.center.to_array()]),
     };
-    let extent = (MARGIN * radius).max(LEAST * distance) as f32;
+    let extent = (MARGIN * radius(&frames)).max(LEAST * distance) as f32;
     if extent.is_normal() { extent } else { 1.0 }
 }
 
 #[cfg(test)]
 mod tests {
+    use glam::DVec3;
+
     use super::*;
-    use crate::domain::{Camera, Digest, Image, Intrinsics, Layout, PointCloud, Pose, Split};
+    use crate::domain::{
+        Camera, Dataset, Digest, Image, Intrinsics, Layout, PointCloud, Pose, SceneFrame, Split,
+    };
 
     fn frame(position: DVec3) -> Frame {
         let intrinsics = Intrinsics { fx: 4.0, fy: 4.0, cx: 2.0, cy: 2.0, width: 4, height: 4 };
@@ -54,17 +54,17 @@ mod tests {
         let points = radius.map(|radius| {
             let positions = (0..100)
                 .map(|i| DVec3::new(f64::from(i).cos(), f64::from(i).sin(), 0.0) * radius * unit)
-                .map(|point| point.as_vec3().to_array());
+                .map(|point| point.to_array());
             PointCloud { positions: positions.collect(), colors: Vec::new() }
         });
         let dataset = Dataset {
             layout: Layout::Nerfstudio,
-            frames: frames.clone(),
+            frames,
             points,
             digest: Digest::of(b"extent"),
             notes: Vec::new(),
         };
-        f64::from(scene_extent(&dataset, &frames.iter().collect::<Vec<_>>()))
+        f64::from(scene_extent(&TrainingSet::of(&dataset, SceneFrame::WORLD)))
     }
 
     #[test]

@@ -8,13 +8,13 @@ use rand_pcg::Pcg64;
 
 use super::{
     Result, Schedule,
-    anchor_trainer::{AnchorTrainer, put_scene_scale, scene_scale_of},
+    anchor_trainer::AnchorTrainer,
     checkpoint::ModelState,
     model_trainer::{BitrateSample, FigureBuffers, FinishedModel, ModelSize, ModelTrainer, Step, Views},
     plain::PlainTrainer,
 };
 use crate::{
-    domain::{Camera, SceneScale},
+    domain::Camera,
     gpu::{Buffer, Device, Recorder},
     model::anchors_from_gaussians,
     render::{GaussianGradients, Gaussians},
@@ -25,7 +25,6 @@ pub(super) struct TwoStageTrainer {
     device: Arc<Device>,
     schedule: Schedule,
     extent: f32,
-    scene_scale: SceneScale,
     stage: Stage,
 }
 
@@ -52,15 +51,9 @@ impl Stage {
 
 impl TwoStageTrainer {
     /// A trainer whose first stage is `first`; `extent` is the scene's, in world units.
-    pub(super) fn new(
-        device: &Arc<Device>,
-        schedule: Schedule,
-        first: PlainTrainer,
-        extent: f32,
-        scene_scale: SceneScale,
-    ) -> Self {
+    pub(super) fn new(device: &Arc<Device>, schedule: Schedule, first: PlainTrainer, extent: f32) -> Self {
         let stage = Stage::Gaussians(Box::new(first));
-        Self { device: Arc::clone(device), schedule, extent, scene_scale, stage }
+        Self { device: Arc::clone(device), schedule, extent, stage }
     }
 
     /// The trainer with the state that [`ModelTrainer::save`] returned.
@@ -68,17 +61,14 @@ impl TwoStageTrainer {
         device: &Arc<Device>,
         schedule: Schedule,
         extent: f32,
-        mut state: ModelState,
+        state: ModelState,
     ) -> Result<Self> {
-        let (stage, scene_scale) = if PlainTrainer::saved(&state) {
-            let scene_scale = scene_scale_of(&mut state)?;
-            let gaussians = PlainTrainer::resume(device, schedule.plain.clone(), extent, state)?;
-            (Stage::Gaussians(Box::new(gaussians)), scene_scale)
+        let stage = if PlainTrainer::saved(&state) {
+            Stage::Gaussians(Box::new(PlainTrainer::resume(device, schedule.plain.clone(), extent, state)?))
         } else {
-            let anchors = AnchorTrainer::resume(device, schedule.clone(), extent, state)?;
-            (Stage::Anchors(Box::new(anchors)), SceneScale::DEFAULT)
+            Stage::Anchors(Box::new(AnchorTrainer::resume(device, schedule.clone(), extent, state)?))
         };
-        Ok(Self { device: Arc::clone(device), schedule, extent, scene_scale, stage })
+        Ok(Self { device: Arc::clone(device), schedule, extent, stage })
     }
 
     /// Replaces the Gaussians by anchors.
@@ -105,7 +95,7 @@ impl TwoStageTrainer {
             "Gaussians become anchors"
         );
         let schedule = self.schedule.clone();
-        let anchors = AnchorTrainer::begin(&self.device, schedule, first, self.extent, self.scene_scale)?;
+        let anchors = AnchorTrainer::begin(&self.device, schedule, first, self.extent)?;
         self.stage = Stage::Anchors(Box::new(anchors));
         Ok(())
     }
@@ -171,11 +161,7 @@ impl ModelTrainer for TwoStageTrainer {
     }
 
     fn save(&self) -> Result<ModelState> {
-        let mut state = self.stage.trainer().save()?;
-        if matches!(self.stage, Stage::Gaussians(_)) {
-            put_scene_scale(&mut state, self.scene_scale);
-        }
-        Ok(state)
+        self.stage.trainer().save()
     }
 
     fn finish(self: Box<Self>, views: &mut Views<'_>) -> Result<FinishedModel> {

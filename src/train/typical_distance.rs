@@ -8,10 +8,9 @@ use crate::domain::Frame;
 const POINTS: usize = 1000;
 
 /// The median distance of the frames' cameras from the points, in world units; zero without cameras or points.
-pub(super) fn typical_distance(frames: &[&Frame], points: &[[f32; 3]]) -> f64 {
+pub(super) fn typical_distance(frames: &[&Frame], points: &[[f64; 3]]) -> f64 {
     let stride = points.len().div_ceil(POINTS).max(1);
-    let points: Vec<DVec3> =
-        points.iter().step_by(stride).map(|point| DVec3::from(point.map(f64::from))).collect();
+    let points: Vec<DVec3> = points.iter().step_by(stride).map(|point| DVec3::from(*point)).collect();
     let mut distances: Vec<f64> = frames
         .iter()
         .map(|frame| frame.camera.pose.center())
@@ -45,8 +44,8 @@ mod tests {
         for unit in [1e-3, 1.0, 1e3] {
             let frames = [DVec3::X, DVec3::Y, DVec3::NEG_X].map(|side| frame(3.0 * unit * side));
             let frames: Vec<&Frame> = frames.iter().collect();
-            let near_the_middle = |index: usize| [0.0, 0.0, (0.001 * unit * (index % 7) as f64) as f32];
-            let mut points: Vec<[f32; 3]> = (0..2500).map(near_the_middle).collect();
+            let near_the_middle = |index: usize| [0.0, 0.0, 0.001 * unit * (index % 7) as f64];
+            let mut points: Vec<[f64; 3]> = (0..2500).map(near_the_middle).collect();
             points.extend([[0.0, 0.0, 1e6]; 500]);
             let distance = typical_distance(&frames, &points);
             assert!((distance / unit - 3.0).abs() < 1e-4, "{distance} where a unit is {unit}");

@@ -10,7 +10,7 @@ use std::{
 use rand::SeedableRng;
 use serde_json::{Value, json};
 use tcgs::{
-    domain::{AnchorScene, Background, GaussianScene, Lattice, NearPlane},
+    domain::{AnchorScene, Background, GaussianScene, Lattice, NearPlane, SceneFrame},
     export::{PlyNote, SpzVersion, anchors, from_ply, from_spz, to_ply, to_spz},
     model::{AnchorRows, NetworkLayout, Shape},
     sample::{self, Settings},
@@ -188,7 +188,12 @@ fn an_export_of_a_tiny_scene_is_compared_from_its_own_near_plane() {
     let mut scene = from_ply(&bytes_of(interop("gaussians.ply"))).expect("reads");
     scene.means.as_flattened_mut().iter_mut().for_each(|value| *value *= SMALLER);
     scene.log_scales.as_flattened_mut().iter_mut().for_each(|value| *value += SMALLER.ln());
-    let note = PlyNote { background: Background::Black, dataset: None, near: NearPlane::of_extent(SMALLER) };
+    let note = PlyNote {
+        background: Background::Black,
+        dataset: None,
+        near: NearPlane::of_extent(SMALLER),
+        frame: SceneFrame::WORLD,
+    };
     let source = folder.path().join("tiny.ply");
     std::fs::write(&source, note.add_to(to_ply(&scene))).expect("writes");
     let said = answers(line!["export", source, "-o", folder.path().join("tiny.spz"), "--json"]);

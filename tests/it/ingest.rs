@@ -411,7 +411,7 @@ fn both_layouts_of_one_set_have_the_same_cameras_up_to_a_similarity() {
     }
 
     // The PLY cloud is in the world of the poses, and the model's points are a part of it.
-    let cell = |position: &[f32; 3]| position.map(|value| (value * 1e3).round() as i64);
+    let cell = |position: &[f64; 3]| position.map(|value| (value * 1e3).round() as i64);
     let cloud: BTreeSet<_> = nerfstudio.points.iter().flat_map(|cloud| &cloud.positions).map(cell).collect();
     let points = colmap.points.expect("points").positions;
     assert_eq!(points.len(), 4_500);

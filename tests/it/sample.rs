@@ -1,7 +1,7 @@
 //! The bundled scene is a dataset like any other: the reader takes it, as a folder and as a zip, and what it reads
 //! fits together.
 
-use glam::{DVec3, Vec3};
+use glam::DVec3;
 use tcgs::{
     domain::{Camera, Dataset, Frame, Layout, Split},
     ingest,
@@ -76,7 +76,7 @@ fn median_difference(dataset: &Dataset, change: impl Fn(&Camera) -> Camera) -> u
             if !is_paving(position) {
                 continue;
             }
-            if let Some(pixel) = pixel_at(frame, &camera, Vec3::from_array(*position).as_dvec3()) {
+            if let Some(pixel) = pixel_at(frame, &camera, DVec3::from_array(*position)) {
                 differences.extend((0..3).map(|channel| pixel[channel].abs_diff(color[channel])));
             }
         }
@@ -87,7 +87,7 @@ fn median_difference(dataset: &Dataset, change: impl Fn(&Camera) -> Camera) -> u
 }
 
 /// The paved ground: seen from above, little of it is hidden, so no test of visibility is needed here.
-fn is_paving(position: &[f32; 3]) -> bool {
+fn is_paving(position: &[f64; 3]) -> bool {
     position[2].abs() < 0.01 && position[0].hypot(position[1]) < 1.8
 }
 

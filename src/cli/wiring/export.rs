@@ -5,13 +5,14 @@ use std::time::Instant;
 use serde::Serialize;
 use tcgs::{
     domain::{
-        Background, Camera, ExportFidelity, GaussianScene, Image, Problem, ProblemType, Scene, SceneFormat,
-        harmonics, spread::spread,
+        Background, Camera, ExportFidelity, GaussianScene, Image, NearPlane, Problem, ProblemType, Scene,
+        SceneFormat, SceneFrame, harmonics, spread::spread,
     },
     eval::{mean_scores_with, psnr, score_view},
     export::{
         bake::{self, BakeSettings},
         spz::{Packed, SpzVersion, to_spz},
+        world::{Origin, Rounding, in_world_units, rounding},
     },
     pipeline::scene_file,
 };
@@ -70,6 +71,17 @@ pub(crate) struct Exported {
     pub(crate) baking: Option<Baking>,
     /// How Gaussians became integers.
     pub(crate) packing: Option<Packing>,
+    /// Where its coordinates are in the world, which not every format states.
+    pub(crate) place: Place,
+}
+
+/// Where the coordinates of an exported file are in the world.
+#[derive(Debug, Clone, Copy, Serialize)]
+pub(crate) struct Place {
+    /// World coordinates of the file's origin: zero unless the scene is far out.
+    pub(crate) offset: [f64; 3],
+    /// What world coordinates lose in single precision; null for a scene that is not far out.
+    pub(crate) rounding: Option<Rounding>,
 }
 
 /// How much the exported file differs from its source.
@@ -97,8 +109,9 @@ pub(crate) fn export(
     format: SceneFormat,
     degree: u8,
     cameras: Option<&[Camera]>,
+    origin: Origin,
 ) -> Result<Exported, Problem> {
-    let (scene, baking) = match &file.scene {
+    let (source, baking) = match &file.scene {
         Scene::Gaussians(scene) => (lowered(scene.clone(), degree), None),
         Scene::Anchors(scene) => {
             let started = Instant::now();
@@ -111,6 +124,11 @@ pub(crate) fn export(
             let seconds = started.elapsed().as_secs_f64();
             (baked.scene, Some(Baking { from, views: baked.views, unseen: baked.unseen, seconds }))
         }
+    };
+    let scene = in_world_units(&source, origin);
+    let place = Place {
+        offset: scene.frame.offset().to_array(),
+        rounding: source.frame.is_far_out().then(|| rounding(&source)),
     };
     let degree = scene.degree;
     let version = match format {
@@ -127,14 +145,14 @@ pub(crate) fn export(
         None => (scene_file::write_gaussians(&scene, file.background, file.dataset), None),
     };
     let left_out = packing.as_ref().map_or(0, |packing: &Packing| packing.left_out);
-    Ok(Exported { bytes, gaussians: scene.means.len() - left_out, degree, baking, packing })
+    Ok(Exported { bytes, gaussians: scene.means.len() - left_out, degree, baking, packing, place })
 }
 
 /// Renders `source` and `exported`, as read back from its bytes, from the same cameras: those of `photographs`, which must be over
 /// the source's background, or without any from a sphere around the scene.
 pub(crate) fn compare(
     source: &Renderer,
-    exported: &[u8],
+    exported: &Exported,
     background: Background,
     photographs: Option<&[(String, Camera, Image)]>,
 ) -> Result<Quality, Problem> {
@@ -174,7 +192,7 @@ pub(crate) fn compare(
 /// PSNR of an export against its source in small pictures from a few of `cameras`; `None` without cameras.
 pub(super) fn fidelity(
     source: &Renderer,
-    exported: &[u8],
+    exported: &Exported,
     cameras: &[Camera],
 ) -> Result<Option<ExportFidelity>, Problem> {
     let exported = exported_beside(source, exported, source.viewable.background)?;
@@ -186,12 +204,19 @@ pub(super) fn fidelity(
     Ok((views > 0).then(|| ExportFidelity { psnr: sum / f64::from(views), views }))
 }
 
-/// An exported file's scene, rendered on the source's `background` and from its near plane, which not every format stores.
-fn exported_beside(source: &Renderer, exported: &[u8], background: Background) -> Result<Renderer, Problem> {
-    let mut file = scene_file::read(exported)?;
+/// An exported file's scene, rendered on the source's `background`, at its place and from its near plane, which not every format
+/// stores.
+fn exported_beside(
+    source: &Renderer,
+    exported: &Exported,
+    background: Background,
+) -> Result<Renderer, Problem> {
+    let mut file = scene_file::read(&exported.bytes)?;
     file.background = background;
     if let Scene::Gaussians(scene) = &mut file.scene {
-        scene.near = source.viewable.scene.near();
+        let (from, scale) = (source.viewable.scene.near(), source.viewable.scene.frame().scale());
+        scene.near = NearPlane::new((f64::from(from.depth()) * scale) as f32).unwrap_or(from);
+        scene.frame = SceneFrame::new(exported.place.offset.into(), 1.0).unwrap_or_default();
     }
     Ok(source.beside(file))
 }
@@ -227,7 +252,10 @@ fn sphere_of(scene: &Scene, count: usize) -> Result<Vec<Camera>, Problem> {
             bake::sphere(&positions, count, SPHERE_SIDE)
         }
     };
-    cameras.map_err(not_exportable)
+    let frame = scene.frame();
+    let in_world =
+        |cameras: Vec<Camera>| cameras.iter().map(|camera| frame.camera_to_world(camera)).collect();
+    cameras.map(in_world).map_err(not_exportable)
 }
 
 /// The scene without harmonics above `degree`.

@@ -35,7 +35,7 @@ use tcgs::{
 };
 
 use export::fidelity;
-pub(crate) use export::{Baking, Packing, Quality, compare, export};
+pub(crate) use export::{Baking, Packing, Place, Quality, compare, export};
 pub(crate) use keys::{
     WithoutKeys, change_key, change_project, create_key, create_project, keys, projects, revoke_key,
     without_keys,

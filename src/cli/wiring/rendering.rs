@@ -4,6 +4,7 @@ use std::{error::Error, sync::Arc};
 
 use tcgs::{
     domain::{Camera, Digest, ExportedScene, NamedCamera, Problem, SceneFormat, Split, SystemClock},
+    export::world::Origin,
     gpu::AdapterChoice,
     http::{RendererOf, SceneExporter, SceneLoader, SceneSource, ViewerCensus},
     pipeline::scene_file,
@@ -83,13 +84,13 @@ fn export(
     let file = scene_file::read(&read()?)?;
     let trained = of_split(cameras, Split::Train);
     let from = (!trained.is_empty()).then_some(&*trained);
-    let exported = super::export(&file, format, EXPORT_DEGREE, from)?;
+    let exported = super::export(&file, format, EXPORT_DEGREE, from, Origin::Nearby)?;
     let gaussians = u64::try_from(exported.gaussians).unwrap_or(u64::MAX);
     let held_out = of_split(cameras, Split::Test);
     let cameras = if held_out.is_empty() { trained } else { held_out };
     // The same key as for its views, so a scene on the device is not loaded again.
     let source = Renderer::over(Arc::clone(views), digest, file);
-    let fidelity = super::fidelity(&source, &exported.bytes, &cameras).unwrap_or_else(|fault| {
+    let fidelity = super::fidelity(&source, &exported, &cameras).unwrap_or_else(|fault| {
         tracing::warn!("export fidelity not measured: {fault}");
         None
     });

@@ -97,7 +97,7 @@ pub enum BakeError {
     },
 }
 
-/// The plain Gaussians that look most like the scene from `cameras`.
+/// The plain Gaussians that look most like the scene from `cameras`, which are in the world; in the scene's frame.
 ///
 /// # Errors
 /// [`BakeError`], one variant for each thing that can be wrong.
@@ -109,7 +109,8 @@ pub fn bake(scene: &AnchorScene, cameras: &[Camera], settings: BakeSettings) -> 
     if cameras.is_empty() {
         return Err(BakeError::NoViews);
     }
-    let bake_views: Vec<BakeView> = cameras.iter().map(BakeView::of).collect();
+    let inside = |camera: &Camera| BakeView::of(&scene.frame.camera_from_world(camera));
+    let bake_views: Vec<BakeView> = cameras.iter().map(inside).collect();
     let anchors: Vec<AnchorSampler<'_>> = (0..scene.len())
         .map(|anchor| AnchorSampler { scene, bake_views: &bake_views, settings, anchor })
         .collect();
@@ -123,8 +124,12 @@ pub fn bake(scene: &AnchorScene, cameras: &[Camera], settings: BakeSettings) -> 
             sampler.gaussians(candidates, &visibility.shares, visibility.first[anchor])
         })
         .collect();
-    let mut gaussians =
-        GaussianScene { degree: settings.degree, near: scene.near, ..GaussianScene::default() };
+    let mut gaussians = GaussianScene {
+        degree: settings.degree,
+        near: scene.near,
+        frame: scene.frame,
+        ..GaussianScene::default()
+    };
     for gaussian in baked.iter().flatten() {
         gaussians.means.push(gaussian.mean);
         gaussians.log_scales.push(gaussian.log_scale);

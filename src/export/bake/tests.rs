@@ -2,7 +2,8 @@
 
 use super::*;
 use crate::domain::{
-    DenseLayer, Intrinsics, Lattice, Mlp, NearPlane, Pose, RenderNetworks, SceneScale, anchors::VIEW_INPUTS,
+    DenseLayer, Intrinsics, Lattice, Mlp, NearPlane, Pose, RenderNetworks, SceneFrame, SceneScale,
+    anchors::VIEW_INPUTS,
 };
 
 const FEATURES: usize = 2;
@@ -23,6 +24,7 @@ fn scene() -> AnchorScene {
     AnchorScene {
         near: NearPlane::DEFAULT,
         scene_scale: SceneScale::DEFAULT,
+        frame: SceneFrame::WORLD,
         lattice: Lattice { voxel: 0.5, origin: [0.0; 3] },
         cells: vec![[2, 0, 0]],
         feature_dim: FEATURES,

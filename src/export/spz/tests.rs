@@ -6,7 +6,7 @@ use flate2::{Compression, read::GzDecoder, write::GzEncoder};
 use proptest::prelude::*;
 
 use super::*;
-use crate::domain::{GaussianScene, NearPlane};
+use crate::domain::{GaussianScene, NearPlane, SceneFrame};
 
 /// Bytes of the header up to version 3.
 const HEADER: usize = 16;
@@ -157,6 +157,7 @@ fn one() -> GaussianScene {
         sh: vec![sh],
         degree: 1,
         near: NearPlane::DEFAULT,
+        frame: SceneFrame::WORLD,
     }
 }
 

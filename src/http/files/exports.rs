@@ -19,6 +19,7 @@ use futures_util::{
     FutureExt as _,
     future::{BoxFuture, Shared},
 };
+use glam::DVec3;
 use tokio::{runtime::Handle, sync::Semaphore, task::spawn_blocking};
 
 use super::{
@@ -26,7 +27,7 @@ use super::{
     file_of, take_lambda,
 };
 use crate::{
-    domain::{Digest, ExportFidelity, ExportedScene, JobId, NamedCamera, ProjectId, SceneFormat},
+    domain::{Digest, ExportFidelity, ExportedScene, JobId, NamedCamera, ProjectId, SceneFormat, SceneFrame},
     http::{
         auth::cross_site::{FollowedLink, refuse_followed_link},
         datasets::received::withdraw_blob,
@@ -44,6 +45,9 @@ const FORMATS: [SceneFormat; 3] = [SceneFormat::Ply, SceneFormat::Spz, SceneForm
 
 /// Header: mean PSNR in dB of renders of the export against renders of the scene.
 const EXPORT_PSNR: HeaderName = HeaderName::from_static("x-export-psnr");
+
+/// Header: world coordinates of the origin of the export's coordinates, of a scene that is far out.
+const EXPORT_OFFSET: HeaderName = HeaderName::from_static("x-export-offset");
 
 /// Identifies an export: job, source file, name of the format.
 type ExportKey = (JobId, Digest, &'static str);
@@ -107,7 +111,19 @@ pub(crate) async fn get(
     {
         response.headers_mut().insert(EXPORT_PSNR, psnr);
     }
+    if response.status().is_success()
+        && let Some(offset) = offset_of(&record)
+    {
+        response.headers_mut().insert(EXPORT_OFFSET, offset);
+    }
     Ok(response)
+}
+
+/// What exported coordinates of the job's scene are relative to; none where they are the world's.
+fn offset_of(record: &JobRecord) -> Option<HeaderValue> {
+    let frame = record.job.metrics.as_ref()?.frame.filter(SceneFrame::is_far_out)?;
+    let DVec3 { x, y, z } = frame.offset();
+    HeaderValue::try_from(format!("{x} {y} {z}")).ok()
 }
 
 fn take_format(parameters: &mut Parameters) -> ApiResult<SceneFormat> {

@@ -137,8 +137,7 @@ fn pose(image: &ImageRecord, place: &str) -> Result<Pose> {
 
 /// Adds a point with the checks that both encodings share.
 fn push_point(cloud: &mut Points, id: u64, position: [f64; 3], color: [u8; 3]) -> Result<()> {
-    let position = position.map(|value| value as f32);
-    if position.iter().any(|value| !value.is_finite()) {
+    if position.iter().any(|value| !(*value as f32).is_finite()) {
         let message = "the position is not finite".to_owned();
         return Err(IngestErrorKind::Record { place: format!("point {id}"), message });
     }

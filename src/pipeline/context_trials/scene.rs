@@ -50,6 +50,7 @@ impl TrialScene {
             networks: scene.networks.clone(),
             near: scene.near,
             scene_scale: scene.scene_scale,
+            frame: scene.frame,
         };
         Self { scene, steps: self.steps }
     }

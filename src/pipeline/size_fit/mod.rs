@@ -347,13 +347,14 @@ fn test_scene(
     [feature_dim, offsets_per_anchor]: [usize; 2],
     value: impl Fn(usize) -> f32,
 ) -> AnchorScene {
-    use crate::domain::{Lattice, Mlp, NearPlane, RenderNetworks, SceneScale};
+    use crate::domain::{Lattice, Mlp, NearPlane, RenderNetworks, SceneFrame, SceneScale};
 
     let mlp = || Mlp { layers: Vec::new() };
     let rows = |width: usize| (0..cells.len() * width).map(|index| value(index / width)).collect();
     AnchorScene {
         near: NearPlane::DEFAULT,
         scene_scale: SceneScale::DEFAULT,
+        frame: SceneFrame::WORLD,
         lattice: Lattice { voxel: 1.0, origin: [0.0; 3] },
         feature_dim,
         offsets_per_anchor,

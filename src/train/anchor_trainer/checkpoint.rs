@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use super::{AnchorTrainer, Parts};
 use crate::{
-    domain::{Lattice, SceneScale},
+    domain::Lattice,
     gpu::Device,
     model::{AnchorRows, MAX_CELL, NetworkLayout, Shape},
     train::{
@@ -17,23 +17,6 @@ fn lattice_values(values: &[f32]) -> Result<[f32; 4], CheckpointError> {
     match <[f32; 4]>::try_from(values) {
         Ok(values) if values[0] > 0.0 && values.iter().all(|v| v.is_finite()) => Ok(values),
         _ => Err(CheckpointError::array("lattice", "is not a size and an origin")),
-    }
-}
-
-/// The unit of a state; the usual one if it has none.
-pub(in crate::train) fn scene_scale_of(state: &mut ModelState) -> Result<SceneScale, CheckpointError> {
-    if !state.has("unit") {
-        return Ok(SceneScale::DEFAULT);
-    }
-    let scene_scale =
-        state.take_exactly::<f32>("unit", 1)?.first().and_then(|length| SceneScale::new(*length));
-    scene_scale.ok_or_else(|| CheckpointError::array("unit", "is not a valid unit of distance"))
-}
-
-/// Adds the unit of a state, which [`scene_scale_of`] takes out; the usual one is not kept.
-pub(in crate::train) fn put_scene_scale(state: &mut ModelState, scene_scale: SceneScale) {
-    if !scene_scale.is_default() {
-        state.put("unit", vec![scene_scale.length()]);
     }
 }
 
@@ -77,12 +60,10 @@ impl AnchorTrainer {
         let rows = anchors * shape.row();
         let offsets = anchors * shape.offsets;
         let parameters = NetworkLayout::new(shape).parameters;
-        let scene_scale = scene_scale_of(&mut state)?;
         let masks = state.take_exactly("anchors.masks", anchors)?;
         let learning = state.has("masks.logits");
         let mut floats = |name: &str, len: usize| state.take_exactly::<f32>(name, len);
         let mut parts = Parts {
-            scene_scale,
             compression: None,
             statistics: Statistics { shape, values: floats("growth", anchors * Statistics::width(shape))? },
             networks: [
@@ -125,7 +106,6 @@ impl AnchorTrainer {
         let Lattice { voxel, origin: [x, y, z] } = anchors.lattice;
         let mut state = ModelState::default();
         state.put("lattice", vec![voxel, x, y, z]);
-        put_scene_scale(&mut state, self.neural.scene_scale());
         if self.shape != self.schedule.shape {
             let Shape { features, hidden, offsets } = self.shape;
             state.put("shape", [features, hidden, offsets].map(|width| width as u32).to_vec());
@@ -148,26 +128,5 @@ impl AnchorTrainer {
             compression.save(&mut state)?;
         }
         Ok(state)
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn the_unit_of_a_state_is_the_one_that_was_kept_or_the_usual_one() {
-        assert!(scene_scale_of(&mut ModelState::default()).expect("the usual").is_default());
-        let read = |values: Vec<f32>| {
-            let mut state = ModelState::default();
-            state.put("unit", values);
-            let scene_scale = scene_scale_of(&mut state)?;
-            state.finish().map(|()| scene_scale.length())
-        };
-        assert_eq!(read(vec![0.0025]).expect("a length"), 0.0025);
-        for hostile in [0.0, -1.0, f32::NAN, f32::INFINITY, 1e-45, f32::MAX] {
-            assert!(read(vec![hostile]).expect_err("refused").to_string().contains("'unit'"), "{hostile}");
-        }
-        assert!(read(vec![]).is_err() && read(vec![1.0, 2.0]).is_err());
     }
 }

@@ -3,8 +3,6 @@
 mod checkpoint;
 mod narrow;
 
-pub(super) use checkpoint::{put_scene_scale, scene_scale_of};
-
 use std::sync::Arc;
 
 use rand_pcg::Pcg64;
@@ -20,7 +18,7 @@ use super::{
 };
 use crate::{
     codec::position_bytes,
-    domain::{AnchorScene, Camera, Lattice, NearPlane, PointCloud, Scene, SceneScale},
+    domain::{AnchorScene, Camera, Lattice, NearPlane, Scene, SceneScale},
     gpu::{Buffer, Device, Recorder},
     model::{
         AnchorRows, FirstAnchors, NetworkLayout, Shape, VoxelRule, anchors_from_points, cell_within,
@@ -69,7 +67,6 @@ struct Parts {
     /// The networks' parameters and their moments.
     networks: [Vec<f32>; 3],
     compression: Option<Compression>,
-    scene_scale: SceneScale,
 }
 
 /// Bytes of the anchors' positions in a file: 0 for the baseline, and where they cannot be written, which the encoder will say.
@@ -86,22 +83,23 @@ fn warn_of_lattice(lattice: &Lattice, points: &[[f32; 3]], rule: VoxelRule) {
     if let VoxelRule::Fixed(edge) = rule
         && lattice.voxel > edge
     {
-        tracing::warn!("cells of {edge} do not reach across the points; they are {} large", lattice.voxel);
+        let times = lattice.voxel / edge;
+        tracing::warn!(
+            "cells of the edge that was given do not reach across the points; they are {times} times as large"
+        );
     }
 }
 
 impl AnchorTrainer {
-    /// A trainer with anchors at the cloud's points and newly initialised networks; `extent` is the scene's, in world units.
+    /// A trainer with anchors at the cloud's points and newly initialised networks; `extent` is the scene's, in units of its frame.
     pub(super) fn new(
         device: &Arc<Device>,
         schedule: Schedule,
-        cloud: &PointCloud,
+        (positions, colors): (&[[f32; 3]], &[[u8; 3]]),
         extent: f32,
-        scene_scale: SceneScale,
         rng: &mut Pcg64,
     ) -> Result<Self> {
         let shape = schedule.shape;
-        let PointCloud { positions, colors } = cloud;
         let rule = schedule.voxel.for_points(positions, extent);
         // Half the limit is left for growth.
         let most = schedule.max_anchors / 2;
@@ -112,7 +110,7 @@ impl AnchorTrainer {
             FirstAnchors { anchors, networks: NetworkLayout::new(shape).initial(rng) }
         };
         warn_of_lattice(&first.anchors.lattice, positions, rule);
-        Self::begin(device, schedule, first, extent, scene_scale)
+        Self::begin(device, schedule, first, extent)
     }
 
     /// A trainer with these anchors and networks; the rest as in [`Self::new`].
@@ -121,14 +119,12 @@ impl AnchorTrainer {
         schedule: Schedule,
         first: FirstAnchors,
         extent: f32,
-        scene_scale: SceneScale,
     ) -> Result<Self> {
         let FirstAnchors { anchors, networks } = first;
         let (shape, parameters) = (anchors.shape, networks.len());
         let zeros = |len| vec![0.0; len];
         let compression = schedule.compression.clone();
         let parts = Parts {
-            scene_scale,
             networks: [networks, zeros(parameters), zeros(parameters)],
             compression: compression.map(|schedule| Compression::new(device, schedule, shape)),
             statistics: Statistics::zero(shape, anchors.len()),
@@ -143,8 +139,7 @@ impl AnchorTrainer {
     }
 
     fn assemble(device: &Arc<Device>, schedule: Schedule, extent: f32, parts: Parts) -> Result<Self> {
-        let Parts { state, statistics, networks: [networks, first, second], compression, scene_scale } =
-            parts;
+        let Parts { state, statistics, networks: [networks, first, second], compression } = parts;
         let shape = state.anchors.shape;
         let near = NearPlane::of_extent(extent).depth();
         let TrainableAnchors { anchors, .. } = &state;
@@ -165,7 +160,7 @@ impl AnchorTrainer {
             compression,
             shown: None,
             rendered: false,
-            neural: NeuralGaussians::new(Arc::clone(device), shape, near, scene_scale)?,
+            neural: NeuralGaussians::new(Arc::clone(device), shape, near, SceneScale::DEFAULT)?,
             adam: Adam::new(device)?,
             device: Arc::clone(device),
             layout,
@@ -176,17 +171,8 @@ impl AnchorTrainer {
     fn row_learning_rates(&self, fraction: f64) -> Vec<f32> {
         let mut rates = vec![self.schedule.feature.at(fraction) as f32; self.shape.row()];
         rates[self.shape.scaling_column()..].fill(self.schedule.scaling.at(fraction) as f32);
-        rates[self.shape.offset_column()..].fill(
-            self.schedule.offset.at(fraction) as f32 * self.extent / self.neural.scene_scale().length(),
-        );
+        rates[self.shape.offset_column()..].fill(self.schedule.offset.at(fraction) as f32 * self.extent);
         rates
-    }
-
-    /// The weight of volumes in world units; the schedule's is for volumes in the scene's unit.
-    fn volume_weight(&self) -> f32 {
-        let volume = f64::from(self.neural.scene_scale().length()).powi(3);
-        // A weight that is not finite would make NaN of volumes that underflow.
-        (f64::from(self.schedule.volume_weight) / volume).min(f64::from(f32::MAX)) as f32
     }
 
     fn network_learning_rates(&self, fraction: f64) -> Vec<f32> {
@@ -302,7 +288,7 @@ impl ModelTrainer for AnchorTrainer {
             None => None,
         };
         let shown = self.shown.as_ref().unwrap_or(&self.device_anchors);
-        self.neural.forward(recorder, shown, camera, self.volume_weight())?;
+        self.neural.forward(recorder, shown, camera, self.schedule.volume_weight)?;
         self.rendered = true;
         Ok(())
     }
@@ -455,10 +441,10 @@ impl ModelTrainer for AnchorTrainer {
             }
             None => None,
         };
-        let (near, scene_scale) = (NearPlane::of_extent(self.extent), self.neural.scene_scale());
+        let near = NearPlane::of_extent(self.extent);
         let scene = |anchors: &AnchorRows| {
             let scene = anchors.to_scene(self.layout.to_networks(&networks));
-            Scene::Anchors(AnchorScene { near, scene_scale, ..scene })
+            Scene::Anchors(AnchorScene { near, ..scene })
         };
         let unrounded = (trained.values != anchors.values).then(|| scene(&trained));
         Ok(FinishedModel { scene: scene(&anchors), unrounded, context })

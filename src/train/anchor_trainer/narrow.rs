@@ -2,7 +2,7 @@
 
 use super::AnchorTrainer;
 use crate::{
-    domain::NearPlane,
+    domain::{NearPlane, SceneScale},
     model::{AnchorRows, NetworkLayout},
     render::NeuralGaussians,
     train::{
@@ -39,8 +39,8 @@ impl AnchorTrainer {
         self.owners = self.layout.owners();
         self.device_anchors.networks = self.device.upload("networks", &networks)?;
         self.network_moments = Moments::upload(&self.device, &first, &second)?;
-        let (near, scene_scale) = (NearPlane::of_extent(self.extent).depth(), self.neural.scene_scale());
-        self.neural = NeuralGaussians::new(self.device.clone(), shape, near, scene_scale)?;
+        let near = NearPlane::of_extent(self.extent).depth();
+        self.neural = NeuralGaussians::new(self.device.clone(), shape, near, SceneScale::DEFAULT)?;
         self.rendered = false;
         if let Some(compression) = &mut self.compression {
             compression.narrow(&narrowing, &state.anchors)?;

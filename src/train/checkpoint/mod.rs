@@ -17,7 +17,7 @@ pub(super) use run_state::{RunIdentity, RunState};
 use run_state::{differences, options_text};
 
 use super::Schedule;
-use crate::domain::TrainOptions;
+use crate::domain::{SceneFrame, TrainOptions};
 
 /// Version of the file format.
 const VERSION: &str = "1";
@@ -41,6 +41,11 @@ impl Checkpoint {
     #[must_use]
     pub fn step(&self) -> u32 {
         self.run.step
+    }
+
+    /// The frame that its scene is trained in.
+    pub(super) fn frame(&self) -> SceneFrame {
+        self.run.frame()
     }
 
     /// The same state as a checkpoint of `branch`, one of the branches of the rate-distortion curve `trunk`. The branches differ only
@@ -106,7 +111,8 @@ mod tests {
         let options = options();
         let mut rng = Pcg64::seed_from_u64(7);
         let _: u64 = rng.random();
-        let mut run = RunState::new(identity(&options), rng, 0.002);
+        let frame = SceneFrame::new(glam::DVec3::new(0.1 + 0.2, -1e7, 0.0), 1.0 / 3.0).expect("a frame");
+        let mut run = RunState::new(identity(&options), frame, rng, 0.002);
         run.step = 30;
         run.seconds = 12.5;
         run.order = vec![3, 0, 2];

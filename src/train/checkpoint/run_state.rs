@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 
 use super::{CheckpointError, GENERATOR};
 use crate::{
-    domain::{Digest, TrainOptions},
+    domain::{Digest, SceneFrame, TrainOptions},
     train::{LossSums, RateControl, RateControlState, convergence::Scores},
 };
 
@@ -21,6 +21,9 @@ pub(in crate::train) struct RunState {
     pub(super) options: String,
     /// Digest of the dataset.
     dataset: Digest,
+    /// The bits of the offset and the scale of the scene's frame; none in the world's.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    frame: Option<[u64; 4]>,
     /// Adapter and driver; the run may resume on another one, but its bits may differ.
     pub(super) adapter: String,
     /// The size that growth may reach, as limited by the adapter and the memory budget.
@@ -61,8 +64,15 @@ pub(in crate::train) struct RunIdentity<'a> {
 
 impl RunState {
     /// The state at the start of a run.
-    pub(in crate::train) fn new(identity: RunIdentity<'_>, rng: Pcg64, lambda: f64) -> Self {
+    pub(in crate::train) fn new(
+        identity: RunIdentity<'_>,
+        frame: SceneFrame,
+        rng: Pcg64,
+        lambda: f64,
+    ) -> Self {
+        let [x, y, z] = frame.offset().to_array();
         Self {
+            frame: (!frame.is_world()).then(|| [x, y, z, frame.scale()].map(f64::to_bits)),
             generator: GENERATOR.to_owned(),
             options: options_text(identity.options),
             dataset: identity.dataset,
@@ -96,6 +106,11 @@ impl RunState {
             tracing::warn!("growth limit lowered from {before} to {max_size}; bits may differ");
             self.max_size = max_size;
         }
+    }
+
+    /// The scene's frame. Numbers that are none count as the world's, which the check of the state refuses.
+    pub(in crate::train) fn frame(&self) -> SceneFrame {
+        self.frame.and_then(frame_of_bits).unwrap_or_default()
     }
 
     /// The averages in progress reports.
@@ -166,6 +181,9 @@ impl RunState {
         if self.dataset != identity.dataset {
             return Err(CheckpointError::Dataset { found: self.dataset, expected: identity.dataset });
         }
+        if self.frame.is_some_and(|bits| frame_of_bits(bits).is_none()) {
+            return Err(CheckpointError::Run("the frame of its scene is not one".to_owned()));
+        }
         if !(1..=steps).contains(&self.step) {
             return Err(CheckpointError::Run(format!("step {} is not one of 1 to {steps}", self.step)));
         }
@@ -177,6 +195,11 @@ impl RunState {
         }
         Ok(())
     }
+}
+
+fn frame_of_bits(bits: [u64; 4]) -> Option<SceneFrame> {
+    let [x, y, z, scale] = bits.map(f64::from_bits);
+    SceneFrame::new(glam::DVec3::new(x, y, z), scale)
 }
 
 pub(super) fn options_text(options: &TrainOptions) -> String {

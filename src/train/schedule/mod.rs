@@ -16,7 +16,7 @@ pub use table::schedule_table;
 
 use super::RateControl;
 use crate::{
-    domain::{Component, ModelKind, Preset, TrainOptions, Voxel},
+    domain::{Component, ModelKind, Preset, SceneFrame, TrainOptions, Voxel},
     model::{PassingUnits, Shape, VoxelRule},
 };
 
@@ -202,7 +202,7 @@ pub struct Schedule {
     pub max_anchors: usize,
     /// Points that a set without a point cloud begins with.
     pub random_points: usize,
-    /// Learning rate of offsets, before it is multiplied by the scene's extent over its scale.
+    /// Learning rate of offsets, before it is multiplied by the scene's extent in its frame.
     pub offset: Decay,
     /// Of features.
     pub feature: Decay,
@@ -212,7 +212,7 @@ pub struct Schedule {
     pub networks: [Decay; 3],
     /// How networks begin whose anchors were Gaussians.
     pub passing_units: PassingUnits,
-    /// Weight of the volume regulariser, for volumes over the cube of the scene scale.
+    /// Weight of the volume regulariser, for volumes in units of the scene's frame.
     pub volume_weight: f32,
     /// Offset masks; none where they are off.
     pub masks: Option<MaskSchedule>,
@@ -229,6 +229,15 @@ pub struct Schedule {
 }
 
 impl Schedule {
+    /// The schedule of a scene in `frame`: an edge that is given in world units is one in its units.
+    #[must_use]
+    pub(super) fn in_frame(mut self, frame: SceneFrame) -> Self {
+        if let VoxelRule::Fixed(edge) = &mut self.voxel {
+            *edge = (f64::from(*edge) / frame.scale()) as f32;
+        }
+        self
+    }
+
     /// The schedule of a job's options.
     #[must_use]
     pub fn new(options: &TrainOptions) -> Self {

@@ -5,7 +5,7 @@
 //! records the next and then reads whether a step of the first overflowed the rasteriser's buffers. If so, the steps from there on,
 //! which have changed nothing, are repeated with larger ones.
 
-use std::{borrow::Cow, collections::VecDeque, sync::Arc, time::Instant};
+use std::{collections::VecDeque, sync::Arc, time::Instant};
 
 use rand::{SeedableRng, seq::SliceRandom};
 use rand_pcg::Pcg64;
@@ -17,20 +17,19 @@ use super::{
     batch::{Batch, Flight, REPORT_INTERVAL},
     checkpoint::{ModelState, RunIdentity, RunState},
     convergence::{Scores, Watch},
-    init_bounds::{expect_resolved, init_bounds},
     model_trainer::{BitrateSample, FigureBuffers, FinishedModel, ModelTrainer, Step, Views},
     photographs::Photographs,
     plain::PlainTrainer,
     scene_extent::scene_extent,
+    scene_frame::{Points, TrainingSet, scene_frame},
     trained::Trained,
     two_stage::TwoStageTrainer,
-    typical_distance::typical_distance,
 };
 use crate::{
     domain::{
         Background, Camera, CancelFlag, Choices, Component, Convergence, Dataset, FailurePoint, Frame,
-        MemoryBudget, ModelKind, NearPlane, PointCloud, Progress, Scene, SceneScale, ShortenedRun, SizeBound,
-        Split, TrainOptions, Until, Widths, failure_point::reach,
+        MemoryBudget, ModelKind, NearPlane, Progress, Scene, SceneFrame, ShortenedRun, SizeBound, Split,
+        TrainOptions, Until, Widths, failure_point::reach,
     },
     gpu::{Binding, Device, KernelVariant, RawBuffer, Readback, Recorder},
     model::{Shape, random_points},
@@ -124,7 +123,7 @@ impl CheckpointWriter<'_> {
     }
 
     /// Saves the state of a run that was resumed from elsewhere, so that the next interruption finds it.
-    fn keep_first(&mut self, run: &Run<'_>) {
+    fn keep_first(&mut self, run: &Run) {
         if self.sink.as_ref().is_some_and(|sink| !sink.has_one()) {
             self.saved_step = 0;
             self.save(run);
@@ -132,7 +131,7 @@ impl CheckpointWriter<'_> {
     }
 
     /// Saves the run's state. A failure is only logged: the run can continue without a checkpoint.
-    fn save(&mut self, run: &Run<'_>) {
+    fn save(&mut self, run: &Run) {
         let step = run.state.step;
         let Some(sink) = self.sink.as_mut().filter(|_| step != self.saved_step) else { return };
         match run.checkpoint().and_then(|checkpoint| Ok(sink.save(&checkpoint)?)) {
@@ -156,49 +155,41 @@ fn warn_if_capped(wanted: usize, estimate: &Estimate) {
 /// Creates the model's trainer, new or from a checkpoint.
 struct ModelFactory<'a> {
     device: &'a Arc<Device>,
-    dataset: &'a Dataset,
-    frames: &'a [&'a Frame],
+    set: &'a TrainingSet,
     schedule: Schedule,
 }
 
 impl ModelFactory<'_> {
     /// The trainer at the start of a run.
     fn create(self, rng: &mut Pcg64) -> Result<Box<dyn ModelTrainer>> {
-        let Self { device, dataset, frames, schedule } = self;
-        let extent = scene_extent(dataset, frames);
-        let cloud = match &dataset.points {
-            Some(cloud) if !cloud.positions.is_empty() => Cow::Borrowed(cloud),
-            _ => {
-                let (low, high) = init_bounds(dataset.layout, frames);
-                expect_resolved((low, high))?;
-                let positions = random_points(rng, schedule.random_points, low, high);
-                Cow::Owned(PointCloud { positions, colors: Vec::new() })
-            }
+        let Self { device, set, schedule } = self;
+        let extent = scene_extent(set);
+        let random = || {
+            let (low, high) = set.init_box.corners();
+            Points { positions: random_points(rng, schedule.random_points, low, high), colors: Vec::new() }
         };
-        let PointCloud { positions, colors } = cloud.as_ref();
+        let Points { positions, colors } = set.points.clone().unwrap_or_else(random);
         Ok(match schedule.model {
             ModelKind::Tcgs | ModelKind::Scaffold => {
-                let typical = typical_distance(frames, positions);
-                let scene_scale = SceneScale::from_typical_distance(typical);
-                tracing::debug!(typical, scene_scale = scene_scale.length(), "scene scale");
                 if schedule.plain_until > 0 {
                     let first =
-                        PlainTrainer::new(device, schedule.plain.clone(), positions, colors, extent, rng)?;
-                    Box::new(TwoStageTrainer::new(device, schedule, first, extent, scene_scale))
+                        PlainTrainer::new(device, schedule.plain.clone(), &positions, &colors, extent, rng)?;
+                    Box::new(TwoStageTrainer::new(device, schedule, first, extent))
                 } else {
-                    Box::new(AnchorTrainer::new(device, schedule, &cloud, extent, scene_scale, rng)?)
+                    let cloud = (&positions[..], &colors[..]);
+                    Box::new(AnchorTrainer::new(device, schedule, cloud, extent, rng)?)
                 }
             }
             ModelKind::Gaussians3d => {
-                Box::new(PlainTrainer::new(device, schedule.plain, positions, colors, extent, rng)?)
+                Box::new(PlainTrainer::new(device, schedule.plain, &positions, &colors, extent, rng)?)
             }
         })
     }
 
     /// The trainer that a checkpoint holds the state of.
     fn resume(self, state: ModelState) -> Result<Box<dyn ModelTrainer>> {
-        let Self { device, dataset, frames, schedule } = self;
-        let extent = scene_extent(dataset, frames);
+        let Self { device, set, schedule } = self;
+        let extent = scene_extent(set);
         Ok(match schedule.model {
             ModelKind::Tcgs | ModelKind::Scaffold if schedule.plain_until > 0 => {
                 Box::new(TwoStageTrainer::resume(device, schedule, extent, state)?)
@@ -246,7 +237,7 @@ enum Goal {
     End,
 }
 
-struct Run<'a> {
+struct Run {
     device: Arc<Device>,
     /// From the step after convergence on, the hastened one.
     schedule: Schedule,
@@ -256,7 +247,10 @@ struct Run<'a> {
     choices: Choices,
     /// Decides whether the run has converged, if it may stop then.
     watch: Option<Watch>,
-    frames: Vec<&'a Frame>,
+    /// Where the scene's coordinates are in the world.
+    frame: SceneFrame,
+    /// The training photographs, with cameras in the frame.
+    frames: Vec<Frame>,
     background: Background,
     /// Its seconds are those before `started`.
     state: RunState,
@@ -283,50 +277,55 @@ struct Run<'a> {
     photographs: Photographs,
 }
 
-impl<'a> Run<'a> {
+impl Run {
     fn new(
         device: &Arc<Device>,
-        dataset: &'a Dataset,
+        dataset: &Dataset,
         options: &TrainOptions,
         budget: &MemoryBudget,
         resume: Option<Checkpoint>,
     ) -> Result<Self> {
-        let frames: Vec<&Frame> = dataset.split(Split::Train).collect();
-        if frames.is_empty() {
+        if dataset.split(Split::Train).next().is_none() {
             return Err(TrainError::NoTrainingFrames);
         }
-        let cloud = dataset.points.as_ref().map_or(0, |points| points.positions.len());
-        let mut schedule = Schedule::new(options).for_points(cloud == 0);
+        // A run that began in the world's frame, as those of older versions, ends in it.
+        let frame = resume.as_ref().map_or_else(|| scene_frame(dataset), Checkpoint::frame);
+        let set = TrainingSet::of(dataset, frame);
+        let cloud = set.points.as_ref().map_or(0, |points| points.positions.len());
+        if cloud == 0 {
+            TrainingSet::of(dataset, SceneFrame::WORLD).init_box.expect_resolved()?;
+        }
+        let mut schedule = Schedule::new(options).in_frame(frame).for_points(cloud == 0);
         let estimate = Needs::of(dataset, options, device.adapter()).within(budget)?;
         tracing::info!("memory: {estimate}");
         let preset_size = schedule.max_size();
         warn_if_capped(preset_size, &estimate);
         let watch = (options.until == Until::Converged).then(|| {
             let (window, disturbances) = (schedule.may_converge(), schedule.disturbances());
-            Watch::new(schedule.steps, frames.len(), window, disturbances)
+            Watch::new(schedule.steps, set.frames.len(), window, disturbances)
         });
         let adapter = device.adapter_line();
         let max_size = estimate.size;
         let identity = RunIdentity { options, dataset: dataset.digest, adapter: &adapter, max_size };
         let (state, model) = match resume {
             Some(checkpoint) => {
-                let (mut state, saved) = checkpoint.open(identity, schedule.steps, frames.len())?;
+                let (mut state, saved) = checkpoint.open(identity, schedule.steps, set.frames.len())?;
                 tracing::info!(step = state.step, "resuming from step {}", state.step);
                 state.continue_on(&adapter, max_size);
                 schedule.set_max_size(state.max_size);
                 if let Some(step) = state.scores.as_ref().and_then(Scores::converged_after) {
                     schedule = schedule.hastened_after(step);
                 }
-                let factory = ModelFactory { device, dataset, frames: &frames, schedule: schedule.clone() };
+                let factory = ModelFactory { device, set: &set, schedule: schedule.clone() };
                 (state, factory.resume(saved)?)
             }
             None => {
                 let mut rng = Pcg64::seed_from_u64(options.seed);
                 let lambda = schedule.lambda();
                 schedule.set_max_size(max_size);
-                let factory = ModelFactory { device, dataset, frames: &frames, schedule: schedule.clone() };
+                let factory = ModelFactory { device, set: &set, schedule: schedule.clone() };
                 let model = factory.create(&mut rng)?;
-                let mut state = RunState::new(identity, rng, lambda);
+                let mut state = RunState::new(identity, frame, rng, lambda);
                 state.scores = watch.is_some().then(Scores::default);
                 (state, model)
             }
@@ -340,7 +339,7 @@ impl<'a> Run<'a> {
             narrowed_from: None,
             shortened: None,
         };
-        let near = NearPlane::of_extent(scene_extent(dataset, &frames)).depth();
+        let near = NearPlane::of_extent(scene_extent(&set)).depth();
         let settings = RasterSettings { near, ..RasterSettings::default() };
         let now = Instant::now();
         Ok(Self {
@@ -364,10 +363,11 @@ impl<'a> Run<'a> {
             settled_passes: 0,
             paced: now,
             news: Vec::new(),
-            photographs: Photographs::new(device, &frames, options.background, estimate.photographs),
+            photographs: Photographs::new(device, &set.frames, options.background, estimate.photographs),
             state,
             device: Arc::clone(device),
-            frames,
+            frame,
+            frames: set.frames,
         })
     }
 
@@ -752,6 +752,8 @@ impl<'a> Run<'a> {
     fn finish(mut self, cancel: &CancelFlag) -> Result<Trained> {
         let views = &mut Views { raster: &mut self.raster, frames: &self.frames, cancel };
         let FinishedModel { scene, unrounded, context } = self.model.finish(views)?;
+        let scene = scene.in_frame(self.frame);
+        let unrounded = unrounded.map(|scene| scene.in_frame(self.frame));
         let seconds = self.state.seconds + self.started.elapsed().as_secs_f64();
         let steps = self.schedule.steps;
         let convergence = match (&self.watch, &self.state.scores) {

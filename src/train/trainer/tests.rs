@@ -27,7 +27,7 @@ fn dataset() -> Dataset {
     });
     let frames = frames.collect();
     let mut rng = Pcg64::seed_from_u64(2);
-    let positions: Vec<[f32; 3]> = (0..60).map(|_| [0; 3].map(|_| rng.random_range(-1.0..1.0))).collect();
+    let positions: Vec<[f64; 3]> = (0..60).map(|_| [0; 3].map(|_| rng.random_range(-1.0..1.0))).collect();
     Dataset {
         layout: Layout::Colmap,
         frames,
@@ -164,7 +164,7 @@ fn no_step_is_lost_of_a_run_that_is_cancelled_whenever_it_is() {
         run.batch = Batch::Fixed(8);
         run
     };
-    let finished = |mut run: Run<'_>| {
+    let finished = |mut run: Run| {
         run.run_until(Goal::End, None, &mut |_| (), &CancelFlag::default()).expect("ends");
         run.finish(&CancelFlag::default()).expect("a scene").scene
     };
@@ -195,7 +195,7 @@ fn a_run_from_random_points_goes_on_from_either_of_its_stages() {
     for model in [ModelKind::Tcgs, ModelKind::Scaffold] {
         let options = TrainOptions { model, iterations: Some(STEPS), seed: 3, ..TrainOptions::default() };
         let begin = |resume| Run::new(&device, &dataset, &options, &budget, resume).expect("begins");
-        let run_to = |run: &mut Run<'_>, last: u32| {
+        let run_to = |run: &mut Run, last: u32| {
             while run.state.step < last {
                 run.advance(&mut |step| step == last, &CancelFlag::default()).expect("steps");
             }

@@ -7,7 +7,8 @@ use rand_pcg::Pcg64Mcg;
 use tcgs::{
     codec::{ContextSettings, EncodeSettings, Provenance},
     domain::{
-        AnchorScene, Background, DenseLayer, Digest, Lattice, Mlp, NearPlane, RenderNetworks, SceneScale,
+        AnchorScene, Background, DenseLayer, Digest, Lattice, Mlp, NearPlane, RenderNetworks, SceneFrame,
+        SceneScale,
         anchors::{SCALINGS_PER_ANCHOR, VIEW_INPUTS},
     },
 };
@@ -74,6 +75,7 @@ pub(super) fn scene(recipe: Recipe) -> AnchorScene {
         networks: networks(&mut normal, feature_dim, offsets),
         near: NearPlane::default(),
         scene_scale: SceneScale::default(),
+        frame: SceneFrame::WORLD,
     }
 }
 

@@ -2,7 +2,7 @@
 
 use tcgs::{
     codec::{DecodeError, DecodeLimits, decode, encode, inspect},
-    domain::{AnchorScene, NearPlane, SceneScale},
+    domain::{AnchorScene, NearPlane, SceneFrame, SceneScale},
 };
 
 use super::{
@@ -114,8 +114,55 @@ fn a_near_plane_that_is_not_the_usual_one_takes_an_optional_section_of_four_byte
 }
 
 #[test]
+fn a_frame_that_is_not_the_worlds_takes_a_critical_section_of_four_doubles_and_version_1_2() {
+    let frame = SceneFrame::new([5e5, -4e6, 1.0 / 3.0].into(), 0.1).expect("a frame");
+    let bytes = encode(&AnchorScene { frame, ..small() }, None, &settings()).expect("encodes").bytes;
+    let decoded = decode(&bytes, &DecodeLimits::default()).expect("decodes");
+    assert_eq!(decoded.scene.frame, frame);
+    let parts = wire::parts(&bytes);
+    let content: Vec<u8> =
+        [5e5, -4e6, 1.0 / 3.0, 0.1].iter().flat_map(|value: &f64| value.to_le_bytes()).collect();
+    assert_eq!(parts.last(), Some(&(*b"FRAM", 1, content)));
+    assert_eq!(wire::file((1, 2), &parts), bytes);
+    let inspection = inspect(&bytes).expect("inspects");
+    assert_eq!((inspection.frame, inspection.version.as_str()), (frame, "1.2"));
+    let text = inspection.to_string();
+    assert!(text.contains("500000 -4000000 0.3333333333333333 in the world"), "{text}");
+
+    // The near plane comes last as it always did, and nothing else of the file differs.
+    let near = NearPlane::of_extent(0.01);
+    let with_near = AnchorScene { frame, near, ..small() };
+    let both = encode(&with_near, None, &settings()).expect("encodes").bytes;
+    let ids: Vec<[u8; 4]> = wire::parts(&both)[5..].iter().map(|part| part.0).collect();
+    assert_eq!(ids, [*b"FRAM", *b"VIEW"]);
+    assert_eq!(wire::parts(&small_file()), parts[..parts.len() - 1]);
+    assert_eq!(
+        decode(&small_file(), &DecodeLimits::default()).expect("decodes").scene.frame,
+        SceneFrame::WORLD
+    );
+
+    let numbers = |values: [f64; 4]| values.iter().flat_map(|value| value.to_le_bytes()).collect::<Vec<u8>>();
+    let whole = numbers([0.0, 0.0, 0.0, 1.0]);
+    for content in [
+        numbers([0.0, 0.0, 0.0, 0.0]),
+        numbers([0.0, 0.0, 0.0, -1.0]),
+        numbers([0.0, 0.0, 0.0, f64::NAN]),
+        numbers([0.0, 0.0, 0.0, 1e-320]),
+        numbers([0.0, f64::INFINITY, 0.0, 1.0]),
+        Vec::new(),
+        whole[..31].to_vec(),
+        [whole, vec![0]].concat(),
+    ] {
+        let mut parts = parts.clone();
+        parts.last_mut().expect("sections").2 = content;
+        let error = error_of(&wire::file((1, 2), &parts));
+        assert!(error.to_string().contains("frame"), "{error}");
+    }
+}
+
+#[test]
 fn a_distance_unit_that_is_not_the_usual_one_takes_a_critical_section_of_four_bytes() {
-    let scene_scale = SceneScale::from_typical_distance(0.004);
+    let scene_scale = SceneScale::new(0.004).expect("a length");
     let bytes = encode(&AnchorScene { scene_scale, ..small() }, None, &settings()).expect("encodes").bytes;
     let decoded = decode(&bytes, &DecodeLimits::default()).expect("decodes");
     assert_eq!(decoded.scene.scene_scale, scene_scale);

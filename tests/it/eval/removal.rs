@@ -1,7 +1,9 @@
 //! What leaving out is said to cost is what it costs.
 
 use tcgs::{
-    domain::{AnchorScene, Background, CancelFlag, Dataset, Frame, NearPlane, Scene, SceneScale, Split},
+    domain::{
+        AnchorScene, Background, CancelFlag, Dataset, Frame, NearPlane, Scene, SceneFrame, SceneScale, Split,
+    },
     eval::{RemovalCosts, removal_costs},
     render::SceneRenderer,
     train::{Checkpoints, train},
@@ -96,6 +98,8 @@ fn in_a_scene_of_another_unit_leaving_out_costs_the_same() {
     // A power of two, so that every rounding is the same.
     let factor = 1.0 / 1024.0;
     let small = scaled(&dataset, f64::from(factor));
+    let frame = scene.frame;
+    scene.frame = SceneFrame::new(frame.offset() * f64::from(factor), frame.scale()).expect("a frame");
     scene.lattice.voxel *= factor;
     scene.lattice.origin = scene.lattice.origin.map(|coordinate| coordinate * factor);
     scene.scalings.iter_mut().for_each(|scaling| *scaling *= factor);

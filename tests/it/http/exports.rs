@@ -106,6 +106,7 @@ pub(super) async fn a_scene_is_exported_once_and_kept(coverage: Coverage) {
     server.send("GET", &path, |request| request.header("range", "bytes=999-")).await.expect(416);
     for answer in [&first, &again, &part] {
         assert_eq!(answer.header("x-export-psnr"), "41.26");
+        assert_eq!(answer.header("x-export-offset"), "500000 4000000 10");
     }
     let unknown = server.get(&format!("{job}/export?format=spz")).await.expect(200);
     assert!(!unknown.headers.contains_key("x-export-psnr"));

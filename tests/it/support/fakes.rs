@@ -17,7 +17,7 @@ use tcgs::{
         CurvePoint, DatasetSummary, Digest, ExportFidelity, ExportedScene, HeldOut, HeldOutView, Image,
         Intrinsics, JobMetrics, Lattice, Layout, LpipsNetwork, Mlp, NamedCamera, NearPlane, Phase,
         PhaseSeconds, Pose, Problem, ProblemType, Progress, RenderNetworks, RenderingError, Scene,
-        SceneFormat, SceneScale, Scores, Split, TrainOptions, ViewScore,
+        SceneFormat, SceneFrame, SceneScale, Scores, Split, TrainOptions, ViewScore,
     },
     pipeline::{Checkpoints, CurveFile, JobError, JobOutput, RunJob},
     render::{
@@ -179,6 +179,7 @@ pub fn metrics() -> JobMetrics {
             max: 2e-6,
             cutoff_rmse: 1e-4,
         }),
+        frame: SceneFrame::around([5e5, 4e6, 10.0].into(), 6.0),
         rd_curve: Vec::new(),
     }
 }
@@ -340,6 +341,7 @@ pub fn empty_scene() -> AnchorScene {
         networks: RenderNetworks { opacity: mlp(), covariance: mlp(), color: mlp() },
         near: NearPlane::default(),
         scene_scale: SceneScale::default(),
+        frame: SceneFrame::default(),
     }
 }
 

@@ -49,7 +49,7 @@ fn dataset(training: u32) -> Dataset {
         Frame { name: format!("{index:02}"), camera, image, split }
     });
     let frames = frames.collect();
-    let positions: Vec<[f32; 3]> = (0..60).map(|_| [0; 3].map(|_| rng.random_range(-1.0..1.0))).collect();
+    let positions: Vec<[f64; 3]> = (0..60).map(|_| [0; 3].map(|_| rng.random_range(-1.0..1.0))).collect();
     Dataset {
         layout: Layout::Colmap,
         frames,

@@ -70,8 +70,8 @@ fn write_png(path: &Path, seed: u32, (width, height): (u32, u32)) {
 
 /// With points around the middle, so that a run begins with as many anchors as there is a use for.
 fn with_points(mut dataset: Dataset, count: usize) -> Dataset {
-    let at = |index: usize, by: f64| ((index as f64 * by).fract() - 0.5) as f32;
-    let positions: Vec<[f32; 3]> =
+    let at = |index: usize, by: f64| (index as f64 * by).fract() - 0.5;
+    let positions: Vec<[f64; 3]> =
         (0..count).map(|i| [at(i, 0.618_034), at(i, 0.754_878), at(i, 0.569_84)]).collect();
     dataset.points = Some(PointCloud { colors: vec![[0; 3]; count], positions });
     dataset

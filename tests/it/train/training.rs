@@ -4,9 +4,10 @@ use glam::DVec3;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 use tcgs::{
+    codec::{ContextSettings, EncodeSettings, Provenance, encode, inspect},
     domain::{
-        AnchorScene, Camera, CancelFlag, Component, Dataset, Digest, Frame, GaussianScene, Image, Intrinsics,
-        Layout, ModelKind, PointCloud, Pose, Progress, Scene, Split, TrainOptions,
+        AnchorScene, Background, Camera, CancelFlag, Component, Dataset, Digest, Frame, GaussianScene, Image,
+        Intrinsics, Layout, ModelKind, PointCloud, Pose, Progress, Scene, SceneFrame, Split, TrainOptions,
     },
     eval::{mean_scores, measure_views},
     render::{
@@ -63,11 +64,11 @@ fn photograph(camera: &Camera) -> Image {
 /// Eight views to train on, one held out, and points around the blobs' middles.
 pub(crate) fn dataset() -> Dataset {
     let mut rng = Pcg64::seed_from_u64(1);
-    let positions: Vec<[f32; 3]> = (0..120)
+    let positions: Vec<[f64; 3]> = (0..120)
         .map(|i| {
             let blob = blobs()[i % 5];
             let away = DVec3::from([0; 3].map(|_| rng.random_range(-1.2..1.2)));
-            (blob.mean + blob.scale * away).as_vec3().to_array()
+            (blob.mean + blob.scale * away).as_vec3().as_dvec3().to_array()
         })
         .collect();
     let frames = (0..9).map(|index| {
@@ -298,7 +299,7 @@ fn a_dataset_that_cannot_begin_a_scene_is_refused() {
     without_frames.frames.retain(|frame| frame.split == Split::Test);
     assert!(matches!(refused(&without_frames), TrainError::NoTrainingFrames));
     let mut spoiled = dataset();
-    spoiled.points.as_mut().expect("points").positions[3][1] = f32::NAN;
+    spoiled.points.as_mut().expect("points").positions[3][1] = f64::NAN;
     let fault = refused(&spoiled);
     assert!(fault.to_string().contains("point 3"), "{fault}");
 }
@@ -340,45 +341,111 @@ fn plain_gaussians_of_one_seed_are_the_same_bits_and_of_another_are_not() {
     assert!(short.scene != other.scene);
 }
 
-/// The same scene in a unit that is `1 / factor` as long.
+/// The same scene with all lengths times `factor`, and then moved by `offset`.
+pub(crate) fn placed(dataset: &Dataset, factor: f64, offset: DVec3) -> Dataset {
+    let mut placed = dataset.clone();
+    // The world as it was, seen from the one that it is moved to.
+    let before = SceneFrame::new(-offset / factor, factor.recip()).expect("a frame");
+    for frame in &mut placed.frames {
+        frame.camera = before.camera_from_world(&frame.camera);
+    }
+    for position in placed.points.iter_mut().flat_map(|cloud| &mut cloud.positions) {
+        *position = (offset + factor * DVec3::from(*position)).to_array();
+    }
+    placed
+}
+
+/// The same scene with all lengths times `factor`.
 pub(crate) fn scaled(dataset: &Dataset, factor: f64) -> Dataset {
-    let mut scaled = dataset.clone();
-    for frame in &mut scaled.frames {
-        let pose = frame.camera.pose;
-        let pose = Pose::from_world_to_camera(pose.rotation(), pose.translation() * factor).expect("a pose");
-        frame.camera = Camera::new(frame.camera.intrinsics, pose).expect("a camera");
-    }
-    for position in scaled.points.iter_mut().flat_map(|cloud| &mut cloud.positions) {
-        *position = position.map(|coordinate| (f64::from(coordinate) * factor) as f32);
-    }
-    scaled
+    placed(dataset, factor, DVec3::ZERO)
+}
+
+/// The models, with the steps that a test of units gives them.
+fn of_each_model() -> [TrainOptions; 3] {
+    [options(120, 0), TrainOptions { model: ModelKind::Scaffold, ..options(120, 0) }, plain(120, 0)]
 }
 
 #[test]
-fn the_unit_of_the_scene_does_not_decide_what_is_learnt() {
-    // Roundings differ, and growth makes more of them; anchors in a unit of their own are told other numbers too. Of eight seeds
-    // of anchors single ones differ by -1.7 to 2.4 dB, means of three by -0.8 to 1.1. A scene behind the near plane, or
-    // distances and volumes in world units, cost ten and more.
-    let cases = [(plain(120, 0), 1, [24.24, 23.71, 24.22]), (options(120, 0), 3, [40.12, 40.08, 40.07])];
-    for (options, seeds, recorded) in cases {
-        for (factor, recorded) in [1.0, 1e-3, 1e3].into_iter().zip(recorded) {
-            let dataset = scaled(&dataset(), factor);
-            let score = |seed: u64| {
-                let (trained, _) = run(&dataset, &TrainOptions { seed, ..options.clone() });
-                let near = trained.scene.near();
-                assert!(f64::from(near.depth()) < 0.1 * 3.0 * factor, "{near:?} at {factor}");
-                if let Some(scene) = trained.scene.as_anchors() {
-                    assert_eq!(
-                        scene.scene_scale.is_default(),
-                        factor == 1.0,
-                        "{:?} at {factor}",
-                        scene.scene_scale
-                    );
-                }
-                psnr(&trained.scene, &dataset, Split::Train)
-            };
-            let mean = (0..seeds).map(score).sum::<f64>() / seeds as f64;
-            assert_psnr_within(&format!("{} times {factor}", options.model), mean, recorded, 1.0);
+fn lengths_times_a_power_of_two_train_to_the_same_bits() {
+    for points in [true, false] {
+        let dataset = Dataset { points: dataset().points.filter(|_| points), ..dataset() };
+        for options in of_each_model() {
+            let options = TrainOptions { iterations: Some(44), ..options };
+            let (expected, _) = run(&dataset, &options);
+            for factor in [1.0 / 256.0, 8.0] {
+                let (trained, _) = run(&scaled(&dataset, factor), &options);
+                let (model, frame) = (options.model, expected.scene.frame());
+                assert_eq!(trained.scene.frame().scale(), factor * frame.scale(), "{model} times {factor}");
+                assert_eq!(trained.scene.frame().offset(), factor * frame.offset(), "{model} times {factor}");
+                let same = trained.scene.clone().in_frame(frame) == expected.scene;
+                assert!(same, "{model} times {factor}, points: {points}");
+                assert!(trained.context == expected.context, "{model} times {factor}, points: {points}");
+            }
+        }
+    }
+}
+
+#[test]
+fn a_file_of_another_unit_differs_in_its_frame_and_nowhere_else() {
+    let bytes = |dataset: &Dataset| {
+        let (trained, _) = run(dataset, &options(44, 0));
+        let context = trained.context.expect("a context model");
+        let steps = context.base_quant_steps;
+        let settings = EncodeSettings {
+            background: Background::Black,
+            feature_step: steps.feature,
+            scaling_step: steps.scaling,
+            offset_step: steps.offset,
+            context: ContextSettings::default(),
+            provenance: Provenance {
+                generator: String::new(),
+                dataset: None,
+                adapter: None,
+                settings: serde_json::Value::Null,
+            },
+        };
+        let scene = trained.scene.as_anchors().expect("anchors").clone();
+        encode(&scene, Some(&context.candidates), &settings).expect("encodes").bytes
+    };
+    let (one, other) = (bytes(&dataset()), bytes(&scaled(&dataset(), 1024.0)));
+    let inspection = inspect(&one).expect("inspects");
+    let frame = inspection.sections.iter().find(|section| section.id == "FRAM").expect("a frame");
+    let content = frame.offset as usize..(frame.offset + frame.length) as usize;
+    // Behind the fixed header are the table's entries, of 28 bytes with a checksum in the last four.
+    let place = inspection.sections.iter().position(|section| section.id == "FRAM").expect("a frame");
+    let checksum = 60 + 28 * place + 24;
+    let may_differ = |index: &usize| {
+        content.contains(index) || (24..60).contains(index) || (checksum..checksum + 4).contains(index)
+    };
+    assert_eq!(one.len(), other.len());
+    let differ: Vec<usize> = (0..one.len()).filter(|index| one[*index] != other[*index]).collect();
+    assert!(!differ.is_empty() && differ.iter().all(may_differ), "{differ:?}");
+}
+
+#[test]
+fn neither_the_unit_nor_the_place_of_the_scene_decides_what_is_learnt() {
+    let dataset = dataset();
+    let seeds = 5;
+    for options in of_each_model() {
+        // Mean PSNR, and mean numbers that a file would have.
+        let score = |dataset: &Dataset| {
+            let mut sums = [0.0; 2];
+            for seed in 0..seeds {
+                let (trained, _) = run(dataset, &TrainOptions { seed, ..options.clone() });
+                sums[0] += psnr(&trained.scene, dataset, Split::Train);
+                sums[1] += trained.scene.gaussians() as f64;
+            }
+            sums.map(|sum| sum / seeds as f64)
+        };
+        let [expected, gaussians] = score(&dataset);
+        let elsewhere = DVec3::new(1.0, -0.7, 0.02);
+        for (factor, offset) in
+            [(0.01, 0.0), (0.1, 0.0), (3.0, 0.0), (10.0, 0.0), (1000.0, 0.0), (1.0, 5e5), (1.0, 4e6)]
+        {
+            let [found, left] = score(&placed(&dataset, factor, offset * elsewhere));
+            let what = format!("{} times {factor} at {offset}", options.model);
+            assert!((found - expected).abs() < 0.2, "{what}: {found:.3} dB, not {expected:.3}");
+            assert!((left / gaussians - 1.0).abs() < 0.02, "{what}: {left} Gaussians, not {gaussians}");
         }
     }
 }

@@ -8,6 +8,7 @@ use std::{
 
 use tcgs::{
     domain::{Dataset, Digest, ModelKind, Phase, Problem, Progress, SceneFormat, Split, TrainOptions},
+    export::world::Origin,
     gpu::AdapterChoice,
     pipeline::{Checkpoints, JobError, JobOutput, Pipeline, ReferenceViews, RunJob as _},
     train::Schedule,
@@ -257,14 +258,14 @@ fn export(
     format: SceneFormat,
 ) -> Result<ExportRecord, CliError> {
     let cameras: Vec<_> = dataset.split(Split::Train).map(|frame| frame.camera).collect();
-    let exported = wiring::export(file, format, MAX_DEGREE, Some(&cameras))?;
+    let exported = wiring::export(file, format, MAX_DEGREE, Some(&cameras), Origin::Nearby)?;
     let background = file.background;
     let mut photographs = Vec::new();
     for frame in dataset.split(Split::Test) {
         let photograph = frame.image.load().map_err(Problem::from)?.over(background.rgb8());
         photographs.push((frame.name.clone(), frame.camera, photograph));
     }
-    let quality = wiring::compare(renderer, &exported.bytes, background, Some(&photographs))?;
+    let quality = wiring::compare(renderer, &exported, background, Some(&photographs))?;
     Ok(ExportRecord {
         format,
         bytes: exported.bytes.len() as u64,
