@@ -4,19 +4,25 @@ use serde_json::Value;
 
 use super::manifest::{GroupContext, Manifest};
 use crate::domain::{
+    SceneFrame,
     choices::{Choices, Explanation, Widths},
     context_model::ContextKind,
     options::Voxel,
 };
 
 /// Every choice that `manifest` states; of files of earlier versions, the contexts alone. `regressions` are the bytes of the groups that
-/// have one.
-pub(super) fn explain(manifest: &Manifest, regressions: [Option<u64>; 3]) -> Vec<Explanation> {
+/// have one; `frame` is the scene's.
+pub(super) fn explain(
+    manifest: &Manifest,
+    regressions: [Option<u64>; 3],
+    frame: SceneFrame,
+) -> Vec<Explanation> {
     let settings = &manifest.provenance.settings;
     let choices: Option<Choices> = read(settings, "choices");
     let voxel = read(settings, "voxel").unwrap_or(Voxel::Auto);
+    let edge = (f64::from(manifest.lattice.voxel) * frame.scale()) as f32;
     let narrowed_from = choices.as_ref().and_then(|choices| choices.narrowed_from);
-    let mut all = choices.map_or_else(Vec::new, |choices| choices.explain(voxel, manifest.lattice.voxel));
+    let mut all = choices.map_or_else(Vec::new, |choices| choices.explain(voxel, edge));
     let shape = manifest.shape();
     all.push(Explanation::new(
         "feature width",

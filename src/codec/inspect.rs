@@ -138,14 +138,15 @@ pub fn inspect(bytes: &[u8]) -> Result<Inspection> {
         offset: section.offset,
         length: section.bytes.len() as u64,
     };
+    let frame = view::decode_frame(container.find(sections::FRAME))?;
     Ok(Inspection {
         version: format!("{}.{}", container.version.0, container.version.1),
         profile: ARITHMETIC_PROFILE,
         content_sha256: container.digest,
-        choices: explain(&manifest, regressions),
+        choices: explain(&manifest, regressions, frame),
         manifest,
         regressions,
-        frame: view::decode_frame(container.find(sections::FRAME))?,
+        frame,
         scene_scale: view::decode_scene_scale(container.find(sections::UNIT))?,
         sections: container.sections.iter().map(report).collect(),
         byte_counts: count(&map.ranges),
@@ -279,7 +280,7 @@ impl fmt::Display for Inspection {
         writeln!(f)?;
         let voxel = manifest.lattice.voxel;
         let [x, y, z] = manifest.lattice.origin;
-        let frame = &self.frame;
+        let frame = self.frame;
         let offset = frame.offset();
         let rows = [
             ("anchors", manifest.anchors.to_string()),

@@ -507,6 +507,15 @@ mod tests {
     use crate::domain::ModelKind;
 
     #[test]
+    fn a_voxel_is_given_in_world_units_whatever_the_frame() {
+        let frame = SceneFrame::new(glam::DVec3::ONE, 2.5).expect("a frame");
+        let of =
+            |voxel| Schedule::new(&TrainOptions { voxel, ..TrainOptions::default() }).in_frame(frame).voxel;
+        assert_eq!(of(Voxel::Edge(0.1)), VoxelRule::Fixed(0.04));
+        assert_eq!(of(Voxel::Published), VoxelRule::Published);
+    }
+
+    #[test]
     fn the_coarsest_growth_cell_is_as_large_as_the_spacing_unless_a_voxel_is_given() {
         for preset in Preset::ALL {
             let options = |voxel| TrainOptions { preset, voxel, ..TrainOptions::default() };
