@@ -362,7 +362,7 @@ pub(crate) fn scaled(dataset: &Dataset, factor: f64) -> Dataset {
 
 /// The models, with the steps that a test of units gives them.
 fn of_each_model() -> [TrainOptions; 3] {
-    [options(120, 0), TrainOptions { model: ModelKind::Scaffold, ..options(120, 0) }, plain(120, 0)]
+    [options(60, 0), TrainOptions { model: ModelKind::Scaffold, ..options(60, 0) }, plain(60, 0)]
 }
 
 #[test]
