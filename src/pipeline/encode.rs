@@ -20,6 +20,7 @@ use crate::{
         AnchorScene, ByteBudget, Choices, CodingEfficiency, GroupQstepLog2, ModelKind, Problem, ProblemType,
         Scene, TrainOptions,
     },
+    export::world::{Origin, in_world_units},
     train::{BaseQuantSteps, Trained, TrainedContext},
 };
 
@@ -62,7 +63,10 @@ pub(super) fn write_file(
                 Encoder { inputs, options, context, choices: &trained.choices }.encode(scene, heartbeat)?;
             (encoded.bytes, budget, Some(encoded.context))
         }
-        (Scene::Gaussians(scene), _) => (scene_file::write_gaussians(scene, background, dataset), None, None),
+        (Scene::Gaussians(scene), _) => {
+            let scene = in_world_units(scene, Origin::Nearby);
+            (scene_file::write_gaussians(&scene, background, dataset), None, None)
+        }
     };
     let encode_seconds = began.elapsed().as_secs_f64();
     let began = Instant::now();

@@ -7,10 +7,7 @@ use crate::{
     domain::{
         AnchorScene, Background, ByteCounts, Digest, GaussianScene, Problem, ProblemType, Scene, SceneFormat,
     },
-    export::{
-        PlyNote, anchors, from_ply, from_spz, spz, to_ply,
-        world::{Origin, in_world_units},
-    },
+    export::{PlyNote, anchors, from_ply, from_spz, spz, to_ply},
 };
 
 /// A scene as read from a file.
@@ -57,11 +54,11 @@ pub fn write_anchors(
         .map_err(|error| Problem::new(ProblemType::Internal, format!("the scene cannot be written: {error}")))
 }
 
-/// Writes the `3dgs` baseline: the `.ply` of the reference implementation, in world units, with its provenance in a comment.
+/// Writes the `3dgs` baseline: the `.ply` of the reference implementation, with the scene's frame and provenance in a comment. Programs that
+/// skip the comment expect world units ([`crate::export::world`]).
 #[must_use]
 pub fn write_gaussians(scene: &GaussianScene, background: Background, dataset: Option<Digest>) -> Vec<u8> {
-    let scene = in_world_units(scene, Origin::Nearby);
-    PlyNote { background, dataset, near: scene.near, frame: scene.frame }.add_to(to_ply(&scene))
+    PlyNote { background, dataset, near: scene.near, frame: scene.frame }.add_to(to_ply(scene))
 }
 
 fn read_tcgs(bytes: &[u8]) -> Result<SceneFile, Problem> {
@@ -141,4 +138,33 @@ fn ply_counts(scene: &GaussianScene, total: u64) -> ByteCounts {
 /// The problem of a file that cannot be decoded.
 pub fn undecodable(cause: impl Display) -> Problem {
     Problem::new(ProblemType::Undecodable, cause.to_string())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{
+        domain::{SceneFrame, gaussians::SH_COEFFICIENTS},
+        export::world::{Origin, in_world_units},
+    };
+
+    #[test]
+    fn a_scene_relative_to_an_offset_comes_back_in_its_place_however_small_it_is() {
+        // A millimetre large, ten units from the origin.
+        let frame = SceneFrame::around([10.0, 0.0, 0.0].into(), 1e-3).expect("a frame");
+        let scene = GaussianScene {
+            frame,
+            means: vec![[0.5, -1.25, 0.1]],
+            log_scales: vec![[-3.0; 3]],
+            quats: vec![[1.0, 0.0, 0.0, 0.0]],
+            opacity_logits: vec![0.5],
+            sh: vec![[[0.25; 3]; SH_COEFFICIENTS]],
+            degree: 3,
+            ..GaussianScene::default()
+        };
+        let scene = in_world_units(&scene, Origin::Nearby);
+        assert_eq!(scene.frame.offset(), frame.offset(), "it is far out in its own lengths");
+        let file = read(&write_gaussians(&scene, Background::Black, None)).expect("reads");
+        assert_eq!(file.scene, Scene::Gaussians(scene));
+    }
 }

@@ -73,6 +73,8 @@ pub(crate) struct Exported {
     pub(crate) packing: Option<Packing>,
     /// Where its coordinates are in the world, which not every format states.
     pub(crate) place: Place,
+    /// Its near plane, likewise.
+    near: NearPlane,
 }
 
 /// Where the coordinates of an exported file are in the world.
@@ -145,7 +147,15 @@ pub(crate) fn export(
         None => (scene_file::write_gaussians(&scene, file.background, file.dataset), None),
     };
     let left_out = packing.as_ref().map_or(0, |packing: &Packing| packing.left_out);
-    Ok(Exported { bytes, gaussians: scene.means.len() - left_out, degree, baking, packing, place })
+    Ok(Exported {
+        bytes,
+        gaussians: scene.means.len() - left_out,
+        degree,
+        baking,
+        packing,
+        place,
+        near: scene.near,
+    })
 }
 
 /// Renders `source` and `exported`, as read back from its bytes, from the same cameras: those of `photographs`, which must be over
@@ -214,8 +224,7 @@ fn exported_beside(
     let mut file = scene_file::read(&exported.bytes)?;
     file.background = background;
     if let Scene::Gaussians(scene) = &mut file.scene {
-        let (from, scale) = (source.viewable.scene.near(), source.viewable.scene.frame().scale());
-        scene.near = NearPlane::new((f64::from(from.depth()) * scale) as f32).unwrap_or(from);
+        scene.near = exported.near;
         scene.frame = SceneFrame::new(exported.place.offset.into(), 1.0).unwrap_or_default();
     }
     Ok(source.beside(file))
