@@ -15,7 +15,7 @@ use super::{Camera, Pose};
 pub const TYPICAL_DISTANCE: f64 = 4.0;
 
 /// Distance of a scene from the world's origin, in typical distances, beyond which single precision in world coordinates would move
-/// Gaussians by a visible part of a pixel: its steps there are a 30 000th of a typical distance.
+/// Gaussians by a visible part of a pixel: it rounds there by up to a 30 000th of a typical distance.
 const FAR: f64 = 512.0;
 
 /// `world = offset + scale * scene`, per axis. The offset is finite; the scale is positive and normal, and so is one over it.
@@ -65,12 +65,6 @@ impl SceneFrame {
     #[must_use]
     pub fn is_far_out(&self) -> bool {
         self.offset.abs().max_element() > FAR * TYPICAL_DISTANCE * self.scale
-    }
-
-    /// The frame of the same place with the world's unit.
-    #[must_use]
-    pub fn in_world_units(&self) -> Self {
-        Self { scale: 1.0, ..*self }
     }
 
     /// Coordinates in the frame of a point of the world.

@@ -64,7 +64,7 @@ mod tests {
             digest: Digest::of(b"extent"),
             notes: Vec::new(),
         };
-        f64::from(scene_extent(&TrainingSet::of(&dataset, SceneFrame::WORLD)))
+        f64::from(scene_extent(&TrainingSet::of(&dataset, SceneFrame::WORLD).expect("near")))
     }
 
     #[test]

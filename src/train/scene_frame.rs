@@ -6,6 +6,7 @@
 use glam::DVec3;
 
 use super::{
+    Result,
     init_bounds::{InitBox, init_box},
     typical_distance::typical_distance,
 };
@@ -59,19 +60,25 @@ fn middle(positions: &[[f64; 3]]) -> DVec3 {
 
 impl TrainingSet {
     /// The training photographs and points of `dataset` in `frame`.
-    pub(super) fn of(dataset: &Dataset, frame: SceneFrame) -> Self {
+    ///
+    /// # Errors
+    /// [`super::TrainError::FarFromOrigin`] if there are no points and random ones cannot be told apart in the world.
+    pub(super) fn of(dataset: &Dataset, frame: SceneFrame) -> Result<Self> {
         let inside = |photograph: &Frame| Frame {
             camera: frame.camera_from_world(&photograph.camera),
             ..photograph.clone()
         };
         let points = dataset.points.as_ref().filter(|cloud| !cloud.positions.is_empty());
-        let InitBox { center, half } =
-            init_box(dataset.layout, &dataset.split(Split::Train).collect::<Vec<_>>());
-        Self {
+        let in_world = init_box(dataset.layout, &dataset.split(Split::Train).collect::<Vec<_>>());
+        if points.is_none() {
+            in_world.expect_resolved()?;
+        }
+        let InitBox { center, half } = in_world;
+        Ok(Self {
             frames: dataset.split(Split::Train).map(inside).collect(),
             points: points.map(|cloud| Points::of(cloud, frame)),
             init_box: InitBox { center: frame.from_world(center), half: half / frame.scale() },
-        }
+        })
     }
 }
 
@@ -122,7 +129,7 @@ mod tests {
             let of = |factor: f64, offset: DVec3| {
                 let dataset = dataset(points, factor, offset);
                 let frame = scene_frame(&dataset);
-                (frame, TrainingSet::of(&dataset, frame))
+                (frame, TrainingSet::of(&dataset, frame).expect("near"))
             };
             let (frame, set) = of(1.0, DVec3::ZERO);
             assert!((1.0..10.0).contains(&(frame.scale() * TYPICAL_DISTANCE)), "{frame:?}");
@@ -155,7 +162,7 @@ mod tests {
         for points in [false, true] {
             let one = dataset(points, 1.0, DVec3::ZERO);
             let frame = scene_frame(&one);
-            let set = TrainingSet::of(&one, frame);
+            let set = TrainingSet::of(&one, frame).expect("near");
             for factor in [0.0625_f64, 4.0, 1024.0] {
                 let mut scaled = one.clone();
                 // Reading a rotation once more would round it again.
@@ -171,7 +178,7 @@ mod tests {
                     (of_scaled.scale(), of_scaled.offset()),
                     (factor * frame.scale(), factor * frame.offset())
                 );
-                let other = TrainingSet::of(&scaled, of_scaled);
+                let other = TrainingSet::of(&scaled, of_scaled).expect("near");
                 let cameras =
                     |set: &TrainingSet| set.frames.iter().map(|frame| frame.camera).collect::<Vec<_>>();
                 assert_eq!(cameras(&other), cameras(&set), "{factor}");

@@ -15,6 +15,7 @@ use super::{
     densify::{TrainableAnchors, densify, drop_masked},
     model_trainer::{BitrateSample, FigureBuffers, FinishedModel, ModelSize, ModelTrainer, Step, Views},
     prune_invisible::prune_invisible,
+    scene_frame::Points,
 };
 use crate::{
     codec::position_bytes,
@@ -95,7 +96,7 @@ impl AnchorTrainer {
     pub(super) fn new(
         device: &Arc<Device>,
         schedule: Schedule,
-        (positions, colors): (&[[f32; 3]], &[[u8; 3]]),
+        Points { positions, colors }: &Points,
         extent: f32,
         rng: &mut Pcg64,
     ) -> Result<Self> {

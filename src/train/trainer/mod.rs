@@ -5,7 +5,7 @@
 //! records the next and then reads whether a step of the first overflowed the rasteriser's buffers. If so, the steps from there on,
 //! which have changed nothing, are repeated with larger ones.
 
-use std::{collections::VecDeque, sync::Arc, time::Instant};
+use std::{borrow::Cow, collections::VecDeque, sync::Arc, time::Instant};
 
 use rand::{SeedableRng, seq::SliceRandom};
 use rand_pcg::Pcg64;
@@ -164,24 +164,27 @@ impl ModelFactory<'_> {
     fn create(self, rng: &mut Pcg64) -> Result<Box<dyn ModelTrainer>> {
         let Self { device, set, schedule } = self;
         let extent = scene_extent(set);
-        let random = || {
-            let (low, high) = set.init_box.corners();
-            Points { positions: random_points(rng, schedule.random_points, low, high), colors: Vec::new() }
+        let points = match &set.points {
+            Some(points) => Cow::Borrowed(points),
+            None => {
+                let (low, high) = set.init_box.corners();
+                let positions = random_points(rng, schedule.random_points, low, high);
+                Cow::Owned(Points { positions, colors: Vec::new() })
+            }
         };
-        let Points { positions, colors } = set.points.clone().unwrap_or_else(random);
+        let Points { positions, colors } = points.as_ref();
         Ok(match schedule.model {
             ModelKind::Tcgs | ModelKind::Scaffold => {
                 if schedule.plain_until > 0 {
                     let first =
-                        PlainTrainer::new(device, schedule.plain.clone(), &positions, &colors, extent, rng)?;
+                        PlainTrainer::new(device, schedule.plain.clone(), positions, colors, extent, rng)?;
                     Box::new(TwoStageTrainer::new(device, schedule, first, extent))
                 } else {
-                    let cloud = (&positions[..], &colors[..]);
-                    Box::new(AnchorTrainer::new(device, schedule, cloud, extent, rng)?)
+                    Box::new(AnchorTrainer::new(device, schedule, points.as_ref(), extent, rng)?)
                 }
             }
             ModelKind::Gaussians3d => {
-                Box::new(PlainTrainer::new(device, schedule.plain, &positions, &colors, extent, rng)?)
+                Box::new(PlainTrainer::new(device, schedule.plain, positions, colors, extent, rng)?)
             }
         })
     }
@@ -290,11 +293,8 @@ impl Run {
         }
         // A run that began in the world's frame, as those of older versions, ends in it.
         let frame = resume.as_ref().map_or_else(|| scene_frame(dataset), Checkpoint::frame);
-        let set = TrainingSet::of(dataset, frame);
+        let set = TrainingSet::of(dataset, frame)?;
         let cloud = set.points.as_ref().map_or(0, |points| points.positions.len());
-        if cloud == 0 {
-            TrainingSet::of(dataset, SceneFrame::WORLD).init_box.expect_resolved()?;
-        }
         let mut schedule = Schedule::new(options).in_frame(frame).for_points(cloud == 0);
         let estimate = Needs::of(dataset, options, device.adapter()).within(budget)?;
         tracing::info!("memory: {estimate}");
