@@ -1,10 +1,9 @@
 // The gradient of the image loss by the rendered samples of a tile on hardware: L1's sign, and SSIM's through the window's adjoint,
 // along rows and columns (METHOD.md §2.4). The window is symmetric and zero-padded, so it is its own adjoint. The fourth component,
-// the gradient by alpha, stays zero. One channel after another.
+// the gradient by alpha, stays zero. A workgroup makes one channel of a tile.
 #import tcgs::ssim::Image
 #import tcgs::ssim_tile::{
-    Line, LANES, HALO, RUNS, FIELD, PITCH, blurred, column_sums, halo_sample, level, origin_of, place_of, row_run, store_row_sums,
-    tiles_of,
+    Line, LANES, HALO, RUNS, FIELD, PITCH, blurred, column_sums, halo_sample, level, place_of, row_run, store_row_sums, work_of,
 }
 
 @group(0) @binding(0) var<uniform> image: Image;
@@ -69,19 +68,14 @@ fn finish(origin: vec2u, channel: u32, local: u32) {
 
 @compute @workgroup_size(LANES)
 fn image_gradient_tiles(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) local: u32) {
-    let tiles = tiles_of(image);
-    let tile = group.x + group.y * 65535u;
+    let work = work_of(image, group);
     // Uniform: all invocations of a workgroup return here or none.
-    if tile >= tiles.x * tiles.y {
+    if !work.exists {
         return;
     }
-    let origin = origin_of(tile, tiles);
-    for (var k = 0u; k < image.channels.y; k++) {
-        let channel = image.channels.x + k;
-        load(origin, channel, local);
-        workgroupBarrier();
-        sum_rows(local);
-        workgroupBarrier();
-        finish(origin, channel, local);
-    }
+    load(work.origin, work.channel, local);
+    workgroupBarrier();
+    sum_rows(local);
+    workgroupBarrier();
+    finish(work.origin, work.channel, local);
 }

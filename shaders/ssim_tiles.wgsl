@@ -1,10 +1,10 @@
 // SSIM of a tile on hardware: its window along rows and columns, from the moments x, y, x^2 + y^2 and (x - y)^2 of render and
-// photograph; the derivatives of the SSIM map by E[x], E[x^2 + y^2] and E[(x - y)^2]; and for each channel the tile's share of
-// SSIM, L1 and the squared error. One channel after another.
+// photograph; the derivatives of the SSIM map by E[x], E[x^2 + y^2] and E[(x - y)^2]; and the tile's share of SSIM, L1 and the
+// squared error. A workgroup makes one channel of a tile.
 #import tcgs::ssim::{Image, REACH, similarity, total}
 #import tcgs::ssim_tile::{
-    Line, LANES, TILE, HALO, RUNS, FIELD, PITCH, blurred, column_sums, halo_sample, level, middle, origin_of, place_of, row_run,
-    store_row_sums, tiles_of,
+    Line, LANES, TILE, HALO, RUNS, FIELD, PITCH, blurred, column_sums, halo_sample, level, middle, place_of, row_run,
+    store_row_sums, work_of,
 }
 
 @group(0) @binding(0) var<uniform> image: Image;
@@ -17,8 +17,8 @@
 
 // Samples of the render, then of the photograph, on the tile and its halo; zero outside the image.
 var<workgroup> samples: array<f32, 2u * FIELD>;
-// Each lane's share of the losses of each channel.
-var<workgroup> shares: array<vec4f, 3u * LANES>;
+// Each lane's share of the losses.
+var<workgroup> shares: array<vec4f, LANES>;
 
 fn load(origin: vec2u, channel: u32, local: u32) {
     for (var i = local; i < HALO * HALO; i += LANES) {
@@ -85,29 +85,24 @@ fn compare(origin: vec2u, channel: u32, local: u32) -> f32 {
 
 @compute @workgroup_size(LANES)
 fn ssim_tiles(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) local: u32) {
-    let tiles = tiles_of(image);
-    let tile = group.x + group.y * 65535u;
+    let work = work_of(image, group);
     // Uniform: all invocations of a workgroup return here or none.
-    if tile >= tiles.x * tiles.y {
+    if !work.exists {
         return;
     }
-    let origin = origin_of(tile, tiles);
-    for (var k = 0u; k < image.channels.y; k++) {
-        let channel = image.channels.x + k;
-        load(origin, channel, local);
-        workgroupBarrier();
-        let differences = sum_rows(local);
-        workgroupBarrier();
-        shares[k * LANES + local] = vec4f(compare(origin, channel, local), differences, 0.0);
-    }
+    load(work.origin, work.channel, local);
+    workgroupBarrier();
+    let differences = sum_rows(local);
+    workgroupBarrier();
+    shares[local] = vec4f(compare(work.origin, work.channel, local), differences, 0.0);
     workgroupBarrier();
     for (var reach = LANES / 2u; reach > 0u; reach /= 2u) {
-        for (var at = local; local < reach && at < image.channels.y * LANES; at += LANES) {
-            shares[at] += shares[at + reach];
+        if local < reach {
+            shares[local] += shares[local + reach];
         }
         workgroupBarrier();
     }
-    if local < image.channels.y {
-        losses[(image.channels.x + local) * tiles.x * tiles.y + tile] = shares[local * LANES];
+    if local == 0u {
+        losses[work.share] = shares[0];
     }
 }

@@ -1,7 +1,7 @@
 #define_import_path tcgs::ssim_tile
 #import tcgs::ssim::{Image, Tail, REACH, slide}
 
-// Hardware's kernels of the image loss give each workgroup a tile of TILE x TILE pixels. Both halves of the window are summed in
+// Hardware's kernels of the image loss give each workgroup one channel of a tile of TILE x TILE pixels. Both halves of the window are summed in
 // workgroup memory, from the tile with its halo of REACH pixels on each side.
 const LANES: u32 = 64u;
 const TILE: u32 = 16u;
@@ -20,14 +20,25 @@ const FIELD: u32 = HALO * PITCH;
 // Sums along rows of up to four fields.
 var<workgroup> row_sums: array<vec4f, HALO * SUM_PITCH>;
 
-fn tiles_of(image: Image) -> vec2u {
-    return (image.size.xy + vec2u(TILE - 1u)) / TILE;
+// The part of the image that is a workgroup's: tiles in rows, channel by channel.
+struct Work {
+    exists: bool,
+    channel: u32,
+    // The pixel of the tile's upper left corner.
+    origin: vec2u,
+    // The place of its share of the losses: [channel][tile].
+    share: u32,
 }
 
-// The pixel of the tile's upper left corner.
-fn origin_of(tile: u32, tiles: vec2u) -> vec2u {
-    let row = tile / tiles.x;
-    return TILE * vec2u(tile - row * tiles.x, row);
+fn work_of(image: Image, group: vec3u) -> Work {
+    let across = (image.size.x + TILE - 1u) / TILE;
+    let tiles = across * ((image.size.y + TILE - 1u) / TILE);
+    let index = group.x + group.y * 65535u;
+    let part = index / tiles;
+    let tile = index - part * tiles;
+    let row = tile / across;
+    let channel = image.channels.x + part;
+    return Work(part < image.channels.y, channel, TILE * vec2u(tile - row * across, row), channel * tiles + tile);
 }
 
 // Sample `i` of the tile and its halo.

@@ -122,7 +122,7 @@ impl ImageKernels {
                 );
             }
             Self::Hardware { tiles, gradient } => {
-                let groups = division.tiles();
+                let groups = division.channels * division.tiles();
                 recorder.dispatch(tiles, &[uniform, render, photograph, derivatives, losses], groups);
                 recorder.dispatch(gradient, &[uniform, render, photograph, derivatives, d_image], groups);
             }
