@@ -127,11 +127,15 @@ pub(crate) fn export(
             (baked.scene, Some(Baking { from, views: baked.views, unseen: baked.unseen, seconds }))
         }
     };
-    let scene = in_world_units(&source, origin);
-    let place = Place {
-        offset: scene.frame.offset().to_array(),
-        rounding: source.frame.is_far_out().then(|| rounding(&source)),
+    // Plain Gaussians come from a `.ply`, whose coordinates are those of an export already.
+    let is_export = matches!(file.scene, Scene::Gaussians(_));
+    let is_far_out = if is_export { !source.frame.is_world() } else { source.frame.is_far_out() };
+    let scene = match origin {
+        Origin::Nearby if is_export => source.clone(),
+        origin => in_world_units(&source, origin),
     };
+    let place =
+        Place { offset: scene.frame.offset().to_array(), rounding: is_far_out.then(|| rounding(&source)) };
     let degree = scene.degree;
     let version = match format {
         SceneFormat::Spz => Some(SpzVersion::V4),
@@ -302,5 +306,29 @@ mod tests {
         assert_eq!((of(1200, 1600).width, of(1200, 1600).height), (192, 256));
         assert_eq!((of(48, 32).width, of(48, 32).height), (48, 32), "and none is enlarged");
         assert_eq!((of(10_000, 1).width, of(10_000, 1).height), (256, 1));
+    }
+    #[test]
+    fn a_ply_relative_to_an_offset_is_exported_in_its_place_however_small_it_is() {
+        // A millimetre large, ten units from the origin.
+        let frame = SceneFrame::around([10.0, 0.0, 0.0].into(), 1e-3).expect("a frame");
+        let scene = GaussianScene {
+            frame,
+            means: vec![[0.5, -1.25, 0.1]],
+            log_scales: vec![[-3.0; 3]],
+            quats: vec![[1.0, 0.0, 0.0, 0.0]],
+            opacity_logits: vec![0.5],
+            sh: vec![[[0.25; 3]; 16]],
+            degree: 3,
+            ..GaussianScene::default()
+        };
+        let scene = in_world_units(&scene, Origin::Nearby);
+        let ply = scene_file::write_gaussians(&scene, Background::Black, None);
+        let file = scene_file::read(&ply).expect("reads");
+        let again = export(&file, SceneFormat::Ply, 3, None, Origin::Nearby).expect("exports");
+        assert_eq!(again.bytes, ply);
+        assert_eq!(again.place.offset, [10.0, 0.0, 0.0]);
+        let world = export(&file, SceneFormat::Ply, 3, None, Origin::World).expect("exports");
+        assert_eq!(world.place.offset, [0.0; 3]);
+        assert!(world.place.rounding.expect("is known").mean_shift > 0.0);
     }
 }

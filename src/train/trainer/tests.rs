@@ -3,7 +3,7 @@ use rand::RngExt;
 
 use super::*;
 use crate::{
-    domain::{Camera, Digest, Image, Intrinsics, Layout, PointCloud, Pose},
+    domain::{Camera, Digest, Image, Intrinsics, Layout, PointCloud, Pose, Preset},
     gpu::testing::lavapipe,
     train::CheckpointError,
 };
@@ -219,6 +219,24 @@ fn a_run_from_random_points_goes_on_from_either_of_its_stages() {
             run_to(&mut resumed, STEPS);
             let other = resumed.finish(&CancelFlag::default()).expect("a scene").scene;
             assert!(other == scene, "{model}: another scene after step {step}");
+        }
+    }
+}
+
+#[test]
+fn no_part_of_a_long_step_is_too_long_for_a_slow_card() {
+    // Milliseconds for a Gaussian of the longest part, the rasterizer's backward pass: `raster_backward`, `gather` and
+    // `project_backward` (docs/HARDWARE.md).
+    const MS_A_GAUSSIAN_BACKWARD: f64 = 2.4e-6;
+    for preset in Preset::ALL {
+        for model in ModelKind::ALL {
+            let schedule = Schedule::new(&TrainOptions { preset, model, ..TrainOptions::default() });
+            let gaussians = match model {
+                ModelKind::Gaussians3d => schedule.max_size(),
+                ModelKind::Tcgs | ModelKind::Scaffold => schedule.max_size() * schedule.shape.offsets,
+            };
+            let longest = MS_A_GAUSSIAN_BACKWARD * gaussians as f64;
+            assert!(longest <= MAX_SUBMISSION_MS, "{preset} {model}: {longest} ms for {gaussians} Gaussians");
         }
     }
 }
