@@ -2,7 +2,7 @@
 
 use std::{env, error::Error, fs};
 
-use tcgs::codec::{DecodeLimits, decode};
+use tcgs_codec::{DecodeLimits, decode};
 
 fn main() -> Result<(), Box<dyn Error>> {
     for path in env::args().skip(1) {

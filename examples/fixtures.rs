@@ -5,17 +5,17 @@
 
 use std::{fs, path::Path, process::ExitCode};
 
-#[path = "../tests/it/codec/dependent.rs"]
+#[path = "../crates/tcgs-codec/tests/it/dependent.rs"]
 mod dependent;
 #[path = "../tests/it/readers/first_files.rs"]
 mod first_files;
-#[path = "../tests/it/codec/fixtures.rs"]
+#[path = "../crates/tcgs-codec/tests/it/fixtures.rs"]
 mod fixtures;
-#[path = "../tests/it/codec/synthetic.rs"]
+#[path = "../crates/tcgs-codec/tests/it/synthetic.rs"]
 mod synthetic;
 #[path = "../fuzz/readers.rs"]
 mod targets;
-#[path = "../tests/it/codec/wire.rs"]
+#[path = "../crates/tcgs-codec/tests/it/wire.rs"]
 mod wire;
 
 fn write(path: &Path, bytes: &[u8]) -> std::io::Result<()> {

@@ -1,8 +1,9 @@
 //! What is fuzzed. Each function takes any bytes and panics where a promise of the codec is broken; a test of the
 //! project runs them on the committed corpus with the ordinary compiler.
 
-use tcgs::{
-    codec::{self, DecodeError, DecodeLimits, EncodeSettings, Provenance, context::robust_frame},
+use tcgs_codec::{
+    self as codec, DecodeError, DecodeLimits, EncodeSettings, Provenance,
+    context::robust_frame,
     domain::{
         AnchorScene, AttributeGroup, Background, ContextCandidates, ContextKind, DenseLayer, Digest, Lattice,
         Mlp, NearPlane, PlaneContext, Planes, RenderNetworks, SceneFrame, SceneScale, UpLayer,

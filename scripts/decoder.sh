@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
-# Checks that the decoder stands without the service: builds the library without default features, for this machine and
-# for WebAssembly, and decodes the golden files with both.
+# Checks that the decoder stands without the service: builds a program of it alone, for this machine and for WebAssembly, and decodes
+# the golden files with both. Packages the crate as a registry would have it.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 # shellcheck source=scripts/env.sh
@@ -9,7 +9,7 @@ cd "$(dirname "$0")/.."
 target=wasm32-unknown-unknown
 build=${CARGO_TARGET_DIR:-$PWD/target}/decoder
 
-crates=$(cargo tree --locked --no-default-features --edges normal --prefix none --format '{p}' | cut -d ' ' -f 1 | sort -u)
+crates=$(cargo tree --locked --package tcgs-codec --edges normal --prefix none --format '{p}' | cut -d ' ' -f 1 | sort -u)
 count=$(($(wc -l <<<"$crates") - 1))
 printf 'the decoder depends on %s crates, indirect ones included; at most 60 are accepted\n' "$count"
 [ "$count" -le 60 ]
@@ -18,7 +18,8 @@ if grep -xE 'axum|hyper|reqwest|sqlx|tokio|wgpu' <<<"$crates"; then
     exit 1
 fi
 
-cargo clippy --locked --no-default-features --lib -- -D warnings
+# Builds the crate from what its package contains.
+cargo package --locked --package tcgs-codec --allow-dirty --quiet
 
 # A package of its own, since `cargo run --example decode` would also build the dependencies of the tests.
 embed() { cargo build --locked --quiet --manifest-path examples/embed/Cargo.toml --target-dir "$build" "$@"; }

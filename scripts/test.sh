@@ -17,7 +17,7 @@ export TCGS_TEST_SKIPS=$scratch/skips
 # Its own process group, so that the tests can be stopped with their children.
 set -m
 (
-    cargo test --locked --no-fail-fast "$@" 2>&1 | tee "$log"
+    cargo test --locked --workspace --no-fail-fast "$@" 2>&1 | tee "$log"
     exit "${PIPESTATUS[0]}"
 ) &
 run=$!

@@ -8,43 +8,24 @@
 //! The modules below are the layers, lowest first; a module may use only the layers named in
 //! `tests/it/layers.rs`, which reads every `use crate::` line and holds that table.
 
-#[cfg(feature = "service")]
 pub mod accuracy;
-pub mod codec;
+pub use tcgs_codec as codec;
 pub mod domain;
-#[cfg(feature = "service")]
 pub mod eval;
-#[cfg(feature = "service")]
 pub mod export;
-#[cfg(feature = "service")]
 pub mod gpu;
-#[cfg(feature = "service")]
 pub mod http;
-#[cfg(feature = "service")]
 pub mod https;
-#[cfg(feature = "service")]
 pub mod ingest;
-#[cfg(feature = "service")]
 pub mod model;
-#[cfg(feature = "service")]
 pub mod picture;
-#[cfg(feature = "service")]
 pub mod pipeline;
-#[cfg(feature = "service")]
 pub mod plot;
-#[cfg(feature = "service")]
 pub mod ply;
-#[cfg(feature = "service")]
 pub mod render;
-#[cfg(feature = "service")]
 pub mod sample;
-#[cfg(feature = "service")]
 pub mod store;
-#[cfg(feature = "service")]
 pub mod train;
-#[cfg(feature = "service")]
 pub mod viewers;
-#[cfg(feature = "service")]
 pub mod webhooks;
-#[cfg(feature = "service")]
 pub mod worker;

@@ -15,7 +15,7 @@ mod ceilings;
 mod context;
 mod stages;
 #[allow(dead_code, reason = "the tests use all of it")]
-#[path = "../../tests/it/codec/synthetic.rs"]
+#[path = "../../crates/tcgs-codec/tests/it/synthetic.rs"]
 mod synthetic;
 mod work;
 

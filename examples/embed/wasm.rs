@@ -3,7 +3,7 @@
 use std::sync::Mutex;
 
 use serde_json::json;
-use tcgs::codec::{self, DecodeLimits, Decoded};
+use tcgs_codec::{self as codec, DecodeLimits, Decoded};
 
 static INPUT: Mutex<Vec<u8>> = Mutex::new(Vec::new());
 static DECODED: Mutex<Option<Decoded>> = Mutex::new(None);

@@ -5,7 +5,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::{KeyId, ProjectId, choice::named_choice};
+use super::{KeyId, ProjectId, named_choice};
 
 named_choice! {
     /// What a key allows.

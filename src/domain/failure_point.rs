@@ -3,7 +3,7 @@
 //! The code calls [`reach`] where a crash has to leave something that the next process can go on with. What happens there is decided once,
 //! by [`plan`]; without a plan, nothing. Builds without debug assertions have no plans, and [`reach`] is empty.
 
-use super::choice::named_choice;
+use super::named_choice;
 
 named_choice! {
     /// A point at which a process may be ended.

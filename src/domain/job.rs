@@ -3,7 +3,7 @@
 use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
 
-use super::{JobId, JobMetrics, Phase, Problem, Progress, TrainOptions, choice::named_choice};
+use super::{JobId, JobMetrics, Phase, Problem, Progress, TrainOptions, named_choice};
 
 named_choice! {
     /// The state of a job.

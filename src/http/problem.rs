@@ -34,9 +34,14 @@ pub(crate) struct ProblemResponse {
     headers: Vec<(HeaderName, HeaderValue)>,
 }
 
-impl ProblemType {
+/// Makes answers of a problem's type.
+pub(super) trait Answer {
     /// An answer of this type; `detail` says what happened.
-    pub(super) fn because(self, detail: impl Into<String>) -> ProblemResponse {
+    fn because(self, detail: impl Into<String>) -> ProblemResponse;
+}
+
+impl Answer for ProblemType {
+    fn because(self, detail: impl Into<String>) -> ProblemResponse {
         Problem::new(self, detail).into()
     }
 }

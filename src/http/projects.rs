@@ -9,7 +9,7 @@ use axum::{
 use serde::Deserialize;
 
 use super::{
-    problem::{ApiResult, ProblemResponse},
+    problem::{Answer as _, ApiResult, ProblemResponse},
     request::{ApiJson, Etag, IfMatch, JsonBody, Page, Parameters, not_modified, present},
     state::AppState,
 };

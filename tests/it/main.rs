@@ -4,7 +4,6 @@
 
 mod accuracy;
 mod cli;
-mod codec;
 mod documents;
 mod eval;
 mod export;

@@ -10,7 +10,7 @@ use axum::http::{HeaderMap, Method};
 use super::host::{Hosts, only};
 use crate::{
     domain::ProblemType,
-    http::problem::{ApiResult, ProblemResponse},
+    http::problem::{Answer as _, ApiResult, ProblemResponse},
 };
 
 /// Marks a request that follows a link on another site's page; it may read, and creates nothing.

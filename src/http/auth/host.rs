@@ -12,7 +12,7 @@ use axum::{
 
 use crate::{
     domain::ProblemType,
-    http::problem::{ApiResult, ProblemResponse},
+    http::problem::{Answer as _, ApiResult, ProblemResponse},
 };
 
 /// A name or address, and a port if one is given.

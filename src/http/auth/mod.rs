@@ -36,7 +36,7 @@ use self::{
     throttle::Wait,
 };
 use super::{
-    problem::{ApiResult, ProblemResponse},
+    problem::{Answer as _, ApiResult, ProblemResponse},
     server::{
         client_address::{ClientAddress, TrustedProxies},
         drain_body::Authenticated,

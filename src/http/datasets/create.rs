@@ -18,7 +18,7 @@ use super::{
 use crate::{
     domain::{Caller, DatasetId, Digest, ProblemType, ProjectId, UploadId},
     http::{
-        problem::{ApiResult, ProblemResponse},
+        problem::{Answer as _, ApiResult, ProblemResponse},
         request::{
             CreateOutcome, CreateRequest, JsonBody, Parameters, Reservations, Resource, content_digest,
             expect_no_coding, idempotency, idempotent, media_type, parse_json, read_json,

@@ -13,7 +13,7 @@ use axum::{
 
 use self::body::scene;
 use super::{
-    problem::{ApiResult, ProblemResponse},
+    problem::{Answer as _, ApiResult, ProblemResponse},
     request::{Etag, IfMatch, Page, Parameters, cursor, not_modified, parse_cursor},
     state::AppState,
 };

@@ -11,7 +11,7 @@ use base64::{Engine as _, engine::general_purpose::STANDARD};
 use crate::{
     domain::{JobId, ProblemType},
     http::{
-        problem::{ApiResult, ProblemResponse},
+        problem::{Answer as _, ApiResult, ProblemResponse},
         request::{ByteRange, Etag, IfMatch, not_modified, parse_range},
         state::AppState,
     },

@@ -15,7 +15,7 @@ use serde_json::json;
 use self::download::{File, media_type, serve};
 use super::{
     jobs::OwnedJob,
-    problem::{ApiResult, ProblemResponse},
+    problem::{Answer as _, ApiResult, ProblemResponse},
     request::Parameters,
     state::AppState,
 };

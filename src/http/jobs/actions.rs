@@ -18,7 +18,7 @@ use super::{
 use crate::{
     domain::{Caller, Digest, JobId, JobState, ProblemType},
     http::{
-        problem::{ApiResult, ProblemResponse},
+        problem::{Answer as _, ApiResult, ProblemResponse},
         request::{
             CreateOutcome, CreateRequest, IfMatch, JsonBody, idempotent, parse_json, read_optional_json,
             require_free_space,

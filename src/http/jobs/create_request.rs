@@ -11,7 +11,7 @@ use crate::{
         TrainOptions, valid_name,
     },
     http::{
-        problem::{ApiResult, ProblemResponse},
+        problem::{Answer as _, ApiResult, ProblemResponse},
         request::{JsonBody, Parameters, parse_json},
         state::AppState,
     },

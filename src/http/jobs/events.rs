@@ -12,7 +12,7 @@ use super::{OwnedJob, body::href, event_stream};
 use crate::{
     domain::{Caller, Event, JobId, ProblemType},
     http::{
-        problem::{ApiResult, ProblemResponse},
+        problem::{Answer as _, ApiResult, ProblemResponse},
         request::{Parameters, accepts, prefers},
         state::AppState,
     },

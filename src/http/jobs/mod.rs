@@ -19,7 +19,7 @@ use axum::{
 
 use super::{
     auth::caller::caller,
-    problem::{ApiResult, ProblemResponse},
+    problem::{Answer as _, ApiResult, ProblemResponse},
     request::{Etag, not_modified, prefer},
     state::AppState,
 };

@@ -31,7 +31,7 @@ use self::{
 };
 use super::{
     jobs::OwnedJob,
-    problem::{ApiResult, ProblemResponse},
+    problem::{Answer as _, ApiResult, ProblemResponse},
     request::{Etag, Parameters, accepts, not_modified},
     state::AppState,
 };

@@ -19,7 +19,7 @@ use crate::{
     domain::ProblemType,
     http::{
         config::RequestLimits,
-        problem::{ApiResult, ProblemResponse},
+        problem::{Answer as _, ApiResult, ProblemResponse},
         state::AppState,
     },
 };

@@ -5,7 +5,7 @@ use base64::{Engine as _, engine::general_purpose::STANDARD};
 
 use crate::{
     domain::{Digest, ProblemType},
-    http::problem::{ApiResult, ProblemResponse},
+    http::problem::{Answer as _, ApiResult, ProblemResponse},
 };
 
 const HEADER: &str = "content-digest";

@@ -16,7 +16,7 @@ use sha2::{Digest as _, Sha256};
 use crate::{
     domain::{Caller, Digest, ProblemType, ProjectId},
     http::{
-        problem::{ApiResult, ProblemResponse},
+        problem::{Answer as _, ApiResult, ProblemResponse},
         state::AppState,
     },
     store::{IdempotentRequest, PriorRequest, StoreError},

@@ -7,7 +7,7 @@ use axum::{
     response::{IntoResponse as _, Response},
 };
 
-use crate::domain::ProblemType;
+use crate::{domain::ProblemType, http::problem::Answer as _};
 
 /// Longest path with query, in bytes.
 pub(super) const URI_BYTES: usize = 8 << 10;

@@ -19,7 +19,7 @@ use self::{
     tus::{AppendPartRequest, CreateUploadRequest, Metadata},
 };
 use super::{
-    problem::{ApiResult, ProblemResponse},
+    problem::{Answer as _, ApiResult, ProblemResponse},
     request::{Parameters, Reservations, require_free_space},
     state::AppState,
 };

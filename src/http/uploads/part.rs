@@ -12,7 +12,7 @@ use super::{expiry, gone, tus::Checksum};
 use crate::{
     domain::{ProblemType, ProjectId},
     http::{
-        problem::{ApiResult, ProblemResponse},
+        problem::{Answer as _, ApiResult, ProblemResponse},
         request::{DiskReservation, Pieces, Reservations},
         state::AppState,
     },

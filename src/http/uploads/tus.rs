@@ -14,7 +14,7 @@ use sha2::{Digest as _, Sha256};
 use crate::{
     domain::ProblemType,
     http::{
-        problem::{ApiResult, ProblemResponse},
+        problem::{Answer as _, ApiResult, ProblemResponse},
         request::expect_media_type,
     },
 };

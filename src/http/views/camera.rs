@@ -10,7 +10,7 @@ use crate::{
         dataset::find_name,
     },
     http::{
-        problem::{ApiResult, ProblemResponse},
+        problem::{Answer as _, ApiResult, ProblemResponse},
         request::Parameters,
     },
 };

@@ -30,7 +30,7 @@ use super::{
     config::RequestLimits,
     files::{file_of, take_lambda},
     jobs::OwnedJob,
-    problem::{ApiResult, ProblemResponse},
+    problem::{Answer as _, ApiResult, ProblemResponse},
     request::{ApiJson, Etag, JsonBody, Parameters, not_modified},
     state::AppState,
 };

@@ -19,7 +19,7 @@ use tokio::sync::oneshot;
 use crate::{
     domain::{KeyId, ProblemType},
     http::{
-        problem::ProblemResponse,
+        problem::{Answer as _, ProblemResponse},
         slots::{Capacity, Slot, Slots},
     },
 };

@@ -28,7 +28,7 @@ fn every_cited_section_of_the_method_exists() {
         .collect();
     assert!(sections.contains("4.2"), "{sections:?}");
     let mut citations = 0;
-    for path in ["src", "shaders"].into_iter().flat_map(files_under) {
+    for path in ["crates", "src", "shaders"].into_iter().flat_map(files_under) {
         for section in cited(&text(&path)) {
             citations += 1;
             assert!(sections.contains(section), "{path}: {DOCUMENT} has no section {section}");

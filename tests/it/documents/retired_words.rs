@@ -6,7 +6,7 @@ use crate::support::tree::{files_under, text};
 const TABLE: &str = "tests/it/documents/retired_words.txt";
 
 /// What is searched. CHANGELOG.md names what was renamed, and a migration never changes.
-const SEARCHED: [&str; 15] = [
+const SEARCHED: [&str; 16] = [
     ".ci",
     "ARCHITECTURE.md",
     "CONTRIBUTING.md",
@@ -15,6 +15,7 @@ const SEARCHED: [&str; 15] = [
     "Makefile",
     "README.md",
     "benches",
+    "crates",
     "docker",
     "docs",
     "examples",

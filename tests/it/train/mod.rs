@@ -9,5 +9,6 @@ mod loss;
 mod memory;
 mod rate;
 mod rate_control;
+mod rounding;
 pub(crate) mod training;
 mod wavelet;
