@@ -22,7 +22,7 @@ use uuid::Uuid;
 
 use super::{
     contract::Coverage,
-    eventually::eventually,
+    eventually::{PATIENCE, eventually},
     fakes::{self, FakeExporter, FakeRenderer, FakeRunner},
     faults::FaultStore,
     sse::Reader,
@@ -139,6 +139,13 @@ impl Answer {
 
     pub fn header(&self, name: &str) -> &str {
         self.headers.get(name).unwrap_or_else(|| panic!("no {name}")).to_str().expect("ASCII")
+    }
+
+    /// Whether the service could not reach its database in time.
+    fn is_of_a_busy_database(&self) -> bool {
+        // The answer to HEAD has no body.
+        let problem: Value = serde_json::from_slice(&self.body).unwrap_or_default();
+        self.status == 503 && problem["detail"] == "the database is busy"
     }
 
     /// Asserts the status and shows the body if it is another.
@@ -277,7 +284,8 @@ impl Server {
         self.services.store.dataset(DatasetId(id)).await.expect("read").expect("known")
     }
 
-    /// Sends a request and checks the answer against the contract.
+    /// Sends a request and checks the answer against the contract. A database that is busy without a planned fault, because the machine
+    /// is, is asked again, as clients do.
     pub async fn send(
         &self,
         method: &str,
@@ -286,12 +294,28 @@ impl Server {
     ) -> Answer {
         let method = method.parse().expect("a method");
         let url = format!("http://{}{path}", self.address);
-        let response =
-            fill(self.client.request(reqwest::Method::clone(&method), url)).send().await.expect("an answer");
-        let (status, headers) = (response.status().as_u16(), response.headers().clone());
-        let body = response.bytes().await.expect("a whole body");
-        self.coverage.check(method.as_str(), path, status, &headers, &body);
-        Answer { status, headers, body }
+        let mut request =
+            fill(self.client.request(reqwest::Method::clone(&method), url)).build().expect("a request");
+        let end = tokio::time::Instant::now() + PATIENCE;
+        loop {
+            let again = request.try_clone();
+            let response = self.client.execute(request).await.expect("an answer");
+            let (status, headers) = (response.status().as_u16(), response.headers().clone());
+            let body = response.bytes().await.expect("a whole body");
+            self.coverage.check(method.as_str(), path, status, &headers, &body);
+            let answer = Answer { status, headers, body };
+            match again {
+                Some(again)
+                    if answer.is_of_a_busy_database()
+                        && !self.store.is_failing()
+                        && tokio::time::Instant::now() < end =>
+                {
+                    request = again;
+                }
+                _ => return answer,
+            }
+            tokio::time::sleep(Duration::from_millis(200)).await;
+        }
     }
 
     /// Opens a stream of events, after the one seen last.

@@ -78,6 +78,11 @@ impl FaultStore {
         *self.failing.lock().expect("not poisoned") = failing;
     }
 
+    /// Whether calls fail by plan.
+    pub fn is_failing(&self) -> bool {
+        self.failing.lock().expect("not poisoned").is_some()
+    }
+
     /// From now on, its clock is so far ahead of the service's.
     pub fn set_ahead(&self, ahead: SignedDuration) {
         *self.ahead.lock().expect("not poisoned") = ahead;
