@@ -96,9 +96,9 @@ soak: setup ## kill services and workers KILLS times on each kind of storage, th
 	timeout 3h cargo test --locked --test it -- --nocapture --test-threads 1 $(SOAK_TESTS)
 
 lint: setup ## formatting, clippy, documentation, licences
-	@$(CARGO) fmt --check
-	@$(CARGO) clippy --locked --all-targets -- -D warnings
-	@$(CARGO) doc --locked --no-deps --quiet
+	@$(CARGO) fmt --all --check
+	@$(CARGO) clippy --locked --workspace --all-targets -- -D warnings
+	@$(CARGO) doc --locked --workspace --no-deps --quiet
 	@. scripts/env.sh && scripts/deny.sh
 
 lint: export RUSTDOCFLAGS := -D warnings
