@@ -1,15 +1,13 @@
 //! `tcgs` trains anchor-based Gaussian-splatting scenes from posed photographs on any wgpu adapter,
 //! compresses them with the TC-GS method into one self-contained file, and serves the result over HTTP.
 //!
-//! To read such files in another program, depend on this crate with `default-features = false`: that leaves [`codec`]
-//! and [`domain`], without wgpu, tokio or SQL, on any target of Rust's standard library, WebAssembly included. The feature
-//! `service`, on by default, adds the rest.
+//! To read such files in another program, depend on the crate `tcgs-codec` alone. Here it is the module [`codec`], and [`domain`] has its
+//! types beside those of the service.
 //!
 //! The modules below are the layers, lowest first; a module may use only the layers named in
 //! `tests/it/layers.rs`, which reads every `use crate::` line and holds that table.
 
 pub mod accuracy;
-pub use tcgs_codec as codec;
 pub mod domain;
 pub mod eval;
 pub mod export;
@@ -29,3 +27,5 @@ pub mod train;
 pub mod viewers;
 pub mod webhooks;
 pub mod worker;
+
+pub use tcgs_codec as codec;
