@@ -1,6 +1,7 @@
 #!/usr/bin/env bash
 # Checks that the decoder stands without the service: builds a program of it alone, for this machine and for WebAssembly, and decodes
-# the golden files with both. Packages the crate as a registry would have it.
+# the golden files with both. Packages this crate and that of the renderer, as a registry would have them, and builds the renderer for
+# WebAssembly too.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 # shellcheck source=scripts/env.sh
@@ -18,8 +19,8 @@ if grep -xE 'axum|hyper|reqwest|sqlx|tokio|wgpu' <<<"$crates"; then
     exit 1
 fi
 
-# Builds the crate from what its package contains.
-cargo package --locked --package tcgs-codec --allow-dirty --quiet
+# Builds the crates from what their packages contain.
+cargo package --locked --package tcgs-codec --package tcgs-render --allow-dirty --quiet
 
 # A package of its own, since `cargo run --example decode` would also build the dependencies of the tests.
 embed() { cargo build --locked --quiet --manifest-path examples/embed/Cargo.toml --target-dir "$build" "$@"; }
@@ -30,6 +31,7 @@ if [ ! -d "$(rustc --print sysroot)/lib/rustlib/$target" ]; then
     printf 'SKIPPED: no WebAssembly check, since Rust has no target %s here (rustup target add %s)\n' "$target" "$target"
     exit 0
 fi
+cargo check --locked --quiet --package tcgs-render --target "$target" --target-dir "$build"
 embed --lib --target "$target"
 if ! command -v node >/dev/null; then
     printf 'SKIPPED: built for WebAssembly but not run, since node is not installed\n'

@@ -3,7 +3,7 @@
 #   scripts/mutants.sh codec --shard 0/8
 # lists the mutants that no test notices in target/mutants/MODULE/mutants.out/missed.txt.
 #
-# The whole crate takes 15 to 40 s a mutant. So a layer of the service, those it uses and its tests are copied into a crate of their
+# The whole program takes 15 to 40 s a mutant. So a layer of the service, those it uses and its tests are copied into a crate of their
 # own, where unit and integration tests are one binary: 3 s to build after a change. `codec` is a crate already.
 set -euo pipefail
 cd "$(dirname "$0")/.."
@@ -21,10 +21,8 @@ codec)
     ;;
 store)
     layers=(domain store)
-    # `support/fakes.rs` says what runs and renders jobs.
-    parts=(render pipeline)
     support=(bucket database eventually fakes fault_store gate postgres skip totals)
-    files=(crates/tcgs-codec migrations tests/schemas benches/store/simulation)
+    files=(crates shaders migrations tests/schemas benches/store/simulation)
     # PostgreSQL.
     without=(store/postgres store/postgres_server)
     slow='simulated_clock|both_schemas_have_the_same|bucket_faults'
@@ -32,9 +30,8 @@ store)
     ;;
 http)
     layers=(domain store viewers plot https webhooks worker http)
-    parts=(render pipeline)
     support=(authority balancer bucket contract database eventually fakes faults postgres receiver service skip server sse)
-    files=(crates/tcgs-codec migrations openapi.yaml)
+    files=(crates shaders migrations openapi.yaml)
     without=()
     # Three run the program, one runs all scenarios again; the others take 3 to 14 s each, 65 s together.
     never='pages_of_other_sites_change|without_keys_the_service|through_no_proxy|the_program_trusts|whose_server_died|every_operation_and_status'
@@ -64,19 +61,6 @@ layer_crate() {
     for layer in "${layers[@]}"; do
         cp -r "src/$layer"* "$scratch/src/"
     done
-    for part in "${parts[@]}"; do
-        mkdir -p "$scratch/src/$part"
-    done
-    if [ ${#parts[@]} -gt 0 ]; then
-        # The interfaces by which other layers render and run jobs.
-        cp src/render/views.rs "$scratch/src/render/"
-        cp src/pipeline/job.rs "$scratch/src/pipeline/"
-        echo 'pub mod views; pub use views::RenderViews;' >"$scratch/src/render/mod.rs"
-        {
-            echo 'mod job; pub use job::{Checkpoints, CurveFile, JobOutput, Resume, RunJob}; use crate::domain::Problem;'
-            sed -n '/^pub enum JobError/,/^}/p' src/pipeline/error.rs | sed '1i #[derive(Debug, Clone, PartialEq)]'
-        } >"$scratch/src/pipeline/mod.rs"
-    fi
     cp -r "tests/it/$module" "$scratch/tests/it/"
     for file in "${support[@]}"; do
         cp -r "tests/it/support/$file"* "$scratch/tests/it/support/"
@@ -100,8 +84,8 @@ layer_crate() {
         echo '#![allow(dead_code, missing_docs, unused_imports, reason = "parts of the crate")]'
         # The names of integration tests hold inside of the library too.
         echo 'extern crate self as tcgs;'
-        echo 'pub use tcgs_codec as codec;'
-        printf 'pub mod %s;\n' "${layers[@]}" "${parts[@]}"
+        sed -n '/^pub use/p' src/lib.rs
+        printf 'pub mod %s;\n' "${layers[@]}"
         echo '#[cfg(test)] #[path = "../tests/it/support/mod.rs"] mod support;'
         echo '#[cfg(test)] #[path = "../tests/it/main.rs"] mod it;'
     } >"$scratch/src/lib.rs"

@@ -11,7 +11,8 @@ use rand_pcg::Pcg64;
 use tcgs::{
     domain::{Camera, Intrinsics, Pose},
     gpu::Device,
-    model::{AnchorRows, Shape, VoxelRule, initial_rows, random_points},
+    init::{VoxelRule, initial_rows, random_points},
+    model::{AnchorRows, Shape},
     render::Gaussians,
 };
 

@@ -1,7 +1,7 @@
 #define_import_path tcgs::gaussian
 
 // Bits of a value coded in a bin of width `width` under a normal distribution, and their derivatives, in a form that stays
-// accurate in the tails (the table of errors is in src/train/context/rate.rs). The polynomials are the fits of
+// accurate in the tails (the table of errors is in the crate tcgs-engine, train/context/rate.rs). The polynomials are the fits of
 // tests/oracles/gaussian_fit.py.
 
 const INVERSE_ROOT_TWO: f32 = 0.70710678;

@@ -16,7 +16,8 @@ use super::{
 use crate::{
     domain::{Camera, Lattice, SceneScale},
     gpu::Device,
-    model::{AnchorRows, NetworkLayout, Shape, all_offsets},
+    init::all_offsets,
+    model::{AnchorRows, NetworkLayout, Shape},
     render::{
         AnchorGradients, DeviceAnchors, NeuralGaussians, Projection, Rasterizer,
         twin::{self, Cutoffs, GaussianGradient, neural},

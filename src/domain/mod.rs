@@ -1,14 +1,11 @@
-//! The types that all layers share: those of [`tcgs_codec::domain`], and those of the service: jobs, keys, projects, webhooks, time.
+//! The types that all layers share: those of [`tcgs_engine::domain`], and those of the service: jobs, keys, projects, webhooks, time.
 //!
 //! No I/O here, and no random numbers or time except from injected sources. Constructors refuse invalid values, so other layers need not
 //! check them.
 
 pub mod access;
-mod causes;
-pub mod clock;
 mod defaults;
 pub mod exported_scene;
-pub mod failure_point;
 pub mod id;
 pub mod job;
 pub mod key;
@@ -18,15 +15,12 @@ pub mod viewer_token;
 pub mod webhook;
 pub mod webhook_secret;
 
-pub use tcgs_codec::domain::*;
 pub(crate) use tcgs_codec::named_choice;
+pub use tcgs_engine::domain::*;
 
 pub use access::{Caller, DEFAULT_MAX_PRIORITY, MAX_PRIORITY, ProjectLimits, Scope};
-pub use causes::{causes, is_no_space};
-pub use clock::{Clock, ManualClock, SystemClock};
 pub(crate) use defaults::with_defaults;
 pub use exported_scene::{ExportFidelity, ExportedScene};
-pub use failure_point::FailurePoint;
 pub use id::{DatasetId, DeliveryId, EndpointId, JobId, KeyId, ProjectId, UploadId};
 pub use job::{Event, EventKind, Job, JobState};
 pub use key::{ApiKey, KeyHash, MalformedKey};

@@ -1,10 +1,6 @@
 //! NaN and infinity: an anchor that holds one does not affect the others.
 
-use tcgs::{
-    domain::SceneScale,
-    model::{NetworkLayout, all_offsets},
-    render::NeuralGaussians,
-};
+use tcgs::{domain::SceneScale, init::all_offsets, model::NetworkLayout, render::NeuralGaussians};
 
 use super::scene::{Found, SMALL, Scene, projection, random_gradients, run};
 use crate::support::{gpu::gpu, random};

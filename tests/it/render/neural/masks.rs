@@ -6,7 +6,8 @@ use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 use tcgs::{
     domain::{Camera, SceneScale},
-    model::{Shape, all_offsets},
+    init::all_offsets,
+    model::Shape,
     render::{
         DeviceAnchors, NeuralGaussians, RasterSettings, Rasterizer,
         twin::{GaussianGradient, neural},

@@ -8,7 +8,8 @@ use rand_pcg::Pcg64;
 use tcgs::{
     domain::{Camera, Lattice, SceneScale},
     gpu::Device,
-    model::{AnchorRows, NetworkLayout, Shape, all_offsets},
+    init::all_offsets,
+    model::{AnchorRows, NetworkLayout, Shape},
     render::{
         AnchorGradients, DeviceAnchors, NeuralGaussians, Projection, RasterSettings,
         twin::{GaussianGradient, SplatGradient, neural as twin},

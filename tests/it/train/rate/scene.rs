@@ -5,7 +5,8 @@ use rand_pcg::Pcg64;
 use tcgs::{
     domain::Lattice,
     gpu::{Buffer, Device},
-    model::{AnchorRows, Shape, all_offsets},
+    init::all_offsets,
+    model::{AnchorRows, Shape},
     render::DeviceAnchors,
     train::context::{
         AnchorSample, Quantisation, QuantisationPhase, QuantisedRows, RateInputs, RateTerm, SampleOutputs,

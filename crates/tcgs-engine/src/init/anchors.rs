@@ -1,0 +1,163 @@
+//! Initial values of the anchors' parameters.
+
+use std::collections::BTreeSet;
+
+use rand::{Rng, RngExt};
+use thiserror::Error;
+
+use super::{
+    VoxelRule, choose_lattice,
+    lattice::{coarse, neighbour_distances, voxelise},
+};
+use crate::model::{AnchorRows, Shape};
+
+/// A point set that cannot initialise a scene.
+#[derive(Debug, Clone, PartialEq, Eq, Error)]
+pub enum InitError {
+    /// No points.
+    #[error("there are no points")]
+    NoPoints,
+    /// A coordinate is NaN or infinite.
+    #[error("point {0} is not finite")]
+    NonFinite(usize),
+}
+
+/// `count` points uniform in the box, for sets without a point cloud (METHOD.md §1.1). An axis whose corners are one has one value.
+#[must_use]
+pub fn random_points(rng: &mut impl Rng, count: usize, low: [f32; 3], high: [f32; 3]) -> Vec<[f32; 3]> {
+    let mut along = |axis: usize| {
+        let (low, high) = (low[axis], high[axis]);
+        if low < high { rng.random_range(low..high) } else { low }
+    };
+    (0..count).map(|_| std::array::from_fn(&mut along)).collect()
+}
+
+/// Anchors from points: voxelised, offsets and features zero, all six log-scalings the logarithm of the distance to
+/// the anchor's neighbours (METHOD.md §2.1). A cloud that would make more than `max_anchors` anchors is thinned evenly.
+///
+/// # Errors
+/// [`InitError`] for an empty or non-finite point set.
+pub fn initial_rows(
+    points: &[[f32; 3]],
+    rule: VoxelRule,
+    shape: Shape,
+    max_anchors: usize,
+) -> Result<AnchorRows, InitError> {
+    if points.is_empty() {
+        return Err(InitError::NoPoints);
+    }
+    if let Some(index) = points.iter().position(|point| point.iter().any(|v| !v.is_finite())) {
+        return Err(InitError::NonFinite(index));
+    }
+    let lattice = choose_lattice(points, rule);
+    let cells = thin(voxelise(&lattice, points), max_anchors);
+    let positions: Vec<[f32; 3]> = cells.iter().map(|cell| lattice.position(*cell)).collect();
+    let mut values = vec![0.0; cells.len() * shape.row()];
+    for (row, distance) in values.chunks_exact_mut(shape.row()).zip(neighbour_distances(&positions)) {
+        let log_scale = distance.max(lattice.voxel).ln();
+        row[shape.scaling_column()..shape.offset_column()].fill(log_scale);
+    }
+    let masks = vec![all_offsets(shape); cells.len()];
+    Ok(AnchorRows { shape, lattice, cells, values, masks })
+}
+
+/// At most `max_cells` of the cells (but at least one): the first of each block, in the smallest blocks that are few enough.
+fn thin(mut cells: Vec<[i32; 3]>, max_cells: usize) -> Vec<[i32; 3]> {
+    let mut factor = 1;
+    while cells.len() > max_cells.max(1) && factor < 1 << 20 {
+        factor *= 2;
+        let mut taken = BTreeSet::new();
+        cells.retain(|cell| taken.insert(coarse(*cell, factor)));
+    }
+    cells
+}
+
+/// The mask with every offset on.
+#[must_use]
+pub fn all_offsets(shape: Shape) -> u32 {
+    if shape.offsets >= 32 { u32::MAX } else { (1 << shape.offsets) - 1 }
+}
+
+#[cfg(test)]
+mod tests {
+    use rand::SeedableRng;
+
+    use super::*;
+
+    const SHAPE: Shape = Shape::new(4, 3);
+
+    #[test]
+    fn anchors_begin_with_zero_features_and_offsets_and_the_spacing_as_size() {
+        let points: Vec<[f32; 3]> =
+            (0..1000).map(|i| [(i % 10) as f32, (i / 10 % 10) as f32, (i / 100) as f32]).collect();
+        let rows = initial_rows(&points, VoxelRule::OfSpacing(0.5), SHAPE, 1000).expect("anchors");
+        assert_eq!(rows.len(), 1000);
+        for anchor in 0..1000 {
+            let row = rows.row(anchor);
+            let (feature, rest) = row.split_at(4);
+            let (scalings, offsets) = rest.split_at(6);
+            assert!(feature.iter().chain(offsets).all(|v| *v == 0.0));
+            // The three nearest neighbours of any point of the grid are at distance one; cells may move it by a quarter.
+            assert!(scalings.iter().all(|log| *log == scalings[0] && log.abs() < 0.5), "{scalings:?}");
+        }
+        assert!(rows.masks.iter().all(|mask| *mask == 0b111));
+    }
+
+    #[test]
+    fn a_dense_cloud_is_thinned_evenly_and_keeps_its_extent() {
+        let points: Vec<[f32; 3]> =
+            (0..8000).map(|i| [(i % 20) as f32, (i / 20 % 20) as f32, (i / 400) as f32]).collect();
+        let all = initial_rows(&points, VoxelRule::Fixed(0.25), SHAPE, 10_000).expect("anchors");
+        let some = initial_rows(&points, VoxelRule::Fixed(0.25), SHAPE, 2_000).expect("anchors");
+        assert_eq!(all.len(), 8000);
+        assert!((500..=2_000).contains(&some.len()), "{}", some.len());
+        let extent = |rows: &AnchorRows| {
+            let xs = rows.cells.iter().map(|cell| cell[0]);
+            xs.clone().max().expect("cells") - xs.min().expect("cells")
+        };
+        assert!(extent(&some) * 10 >= extent(&all) * 9);
+        let mean_scale = |rows: &AnchorRows| {
+            let sum: f32 = (0..rows.len()).map(|anchor| rows.row(anchor)[SHAPE.scaling_column()].exp()).sum();
+            sum / rows.len() as f32
+        };
+        assert!(mean_scale(&some) > 1.2 * mean_scale(&all), "fewer anchors are larger");
+    }
+
+    #[test]
+    fn a_lone_point_is_an_anchor_of_finite_size() {
+        let rows =
+            initial_rows(&[[1.0, 2.0, 3.0]], VoxelRule::OfSpacing(0.5), SHAPE, 1000).expect("an anchor");
+        assert_eq!(rows.len(), 1);
+        assert!(rows.values.iter().all(|v| v.is_finite()));
+    }
+
+    #[test]
+    fn points_that_no_scene_can_begin_with_are_named() {
+        let begin = |points: &[[f32; 3]]| initial_rows(points, VoxelRule::Fixed(1.0), SHAPE, 9);
+        assert_eq!(begin(&[]), Err(InitError::NoPoints));
+        assert_eq!(begin(&[[0.0; 3], [0.0, f32::INFINITY, 0.0]]), Err(InitError::NonFinite(1)));
+    }
+
+    #[test]
+    fn random_points_fill_their_box_and_follow_the_seed() {
+        let points = |seed| {
+            random_points(&mut rand_pcg::Pcg64::seed_from_u64(seed), 500, [-1.0, 0.0, 5.0], [1.0, 3.0, 6.0])
+        };
+        assert_eq!(points(1), points(1));
+        assert_ne!(points(1), points(2));
+        for (axis, (low, high)) in [(-1.0, 1.0), (0.0, 3.0), (5.0, 6.0)].into_iter().enumerate() {
+            let along = || points(1).into_iter().map(move |point| point[axis]);
+            let (least, most) = (along().fold(f32::MAX, f32::min), along().fold(f32::MIN, f32::max));
+            assert!(least >= low && most < high && most - least > 0.9 * (high - low));
+        }
+        let mut rng = rand_pcg::Pcg64::seed_from_u64(1);
+        assert!(random_points(&mut rng, 9, [1e8; 3], [1e8; 3]).iter().all(|point| *point == [1e8; 3]));
+    }
+
+    #[test]
+    fn every_offset_has_its_bit() {
+        for (offsets, mask) in [(1, 1), (10, 0x3ff), (31, 0x7fff_ffff), (32, u32::MAX)] {
+            assert_eq!(all_offsets(Shape::new(4, offsets)), mask);
+        }
+    }
+}

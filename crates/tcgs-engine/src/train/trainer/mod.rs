@@ -1,0 +1,782 @@
+//! The training loop: each step renders one photograph's view, takes the losses' gradients back and updates the parameters;
+//! between steps the model grows and is pruned.
+//!
+//! A step is one submission, and steps are submitted in batches, of which two are in flight: while the device works on one, the host
+//! records the next and then reads whether a step of the first overflowed the rasteriser's buffers. If so, the steps from there on,
+//! which have changed nothing, are repeated with larger ones.
+
+use std::{borrow::Cow, collections::VecDeque, sync::Arc, time::Instant};
+
+use rand::{SeedableRng, seq::SliceRandom};
+use rand_pcg::Pcg64;
+
+use super::{
+    Checkpoint, CheckpointSink, Estimate, ImageLoss, LossSums, Needs, RateControl, Result, Schedule,
+    TrainError, WaveletWeights,
+    anchor_trainer::AnchorTrainer,
+    batch::{Batch, Flight, REPORT_INTERVAL},
+    checkpoint::{ModelState, RunIdentity, RunState},
+    convergence::{Scores, Watch},
+    model_trainer::{BitrateSample, FigureBuffers, FinishedModel, ModelTrainer, Step, Views},
+    photographs::Photographs,
+    plain::PlainTrainer,
+    scene_extent::scene_extent,
+    scene_frame::{Points, TrainingSet, scene_frame},
+    trained::Trained,
+    two_stage::TwoStageTrainer,
+};
+use crate::{
+    domain::{
+        Background, Camera, CancelFlag, Choices, Component, Convergence, Dataset, FailurePoint, Frame,
+        MemoryBudget, ModelKind, NearPlane, Progress, Scene, SceneFrame, ShortenedRun, SizeBound, Split,
+        TrainOptions, Until, Widths, failure_point::reach,
+    },
+    gpu::{Binding, Device, KernelVariant, RawBuffer, Readback, Recorder},
+    init::random_points,
+    model::Shape,
+    render::{RasterSettings, Rasterizer},
+};
+
+/// Label of a training step's recording.
+pub const STEP_RECORDING: &str = "step";
+
+/// The checkpoint that a run resumes from and where it saves checkpoints; neither changes the result.
+#[derive(Default)]
+pub struct Checkpoints<'a> {
+    /// A checkpoint of this run to resume from.
+    pub resume: Option<Checkpoint>,
+    /// Saves checkpoints: those that it wants, one when the run is cancelled, and one after the last step.
+    pub sink: Option<&'a mut dyn CheckpointSink>,
+}
+
+/// Trains a scene on the dataset's training frames.
+///
+/// `report` is called every few steps, and at once if the run resumes from a checkpoint. The result depends only on dataset,
+/// options and adapter.
+///
+/// # Errors
+/// [`TrainError`]; a cancelled run ends as [`TrainError::Cancelled`] within a step or about a second, or within one view of the
+/// final pruning pass. [`TrainError::Checkpoint`] only before the first step.
+pub fn train(
+    device: &Arc<Device>,
+    dataset: &Dataset,
+    options: &TrainOptions,
+    checkpoints: Checkpoints<'_>,
+    report: &mut dyn FnMut(&Progress),
+    cancel: &CancelFlag,
+) -> Result<Trained> {
+    let budget = MemoryBudget { host: u64::MAX, gpu: device.budget_bytes() };
+    train_within(device, dataset, options, &budget, checkpoints, report, cancel)
+}
+
+/// Like [`train`], with growth limited to what fits `budget`.
+///
+/// # Errors
+/// Those of [`train`], and [`TrainError::OverBudget`] before the first step.
+pub fn train_within(
+    device: &Arc<Device>,
+    dataset: &Dataset,
+    options: &TrainOptions,
+    budget: &MemoryBudget,
+    checkpoints: Checkpoints<'_>,
+    report: &mut dyn FnMut(&Progress),
+    cancel: &CancelFlag,
+) -> Result<Trained> {
+    let mut run = Run::new(device, dataset, options, budget, checkpoints.resume)?;
+    run.run_until(Goal::End, checkpoints.sink, report, cancel)?;
+    run.finish(cancel)
+}
+
+/// Trains the steps that the branches of a rate-distortion curve share, up to [`Schedule::fork_step`], and returns the
+/// checkpoint for [`Checkpoint::fork`], which is saved too.
+///
+/// # Errors
+/// As [`train_within`].
+pub fn train_trunk(
+    device: &Arc<Device>,
+    dataset: &Dataset,
+    options: &TrainOptions,
+    budget: &MemoryBudget,
+    checkpoints: Checkpoints<'_>,
+    report: &mut dyn FnMut(&Progress),
+    cancel: &CancelFlag,
+) -> Result<Checkpoint> {
+    let mut run = Run::new(device, dataset, options, budget, checkpoints.resume)?;
+    run.run_until(Goal::Fork, checkpoints.sink, report, cancel)?;
+    run.checkpoint()
+}
+
+/// Saves checkpoints of a run, at most one per step.
+struct CheckpointWriter<'a> {
+    sink: Option<&'a mut dyn CheckpointSink>,
+    /// Step of the newest checkpoint.
+    saved_step: u32,
+}
+
+impl CheckpointWriter<'_> {
+    fn wants(&mut self, step: u32) -> bool {
+        self.sink.as_mut().is_some_and(|sink| sink.wants(step))
+    }
+
+    /// The report, with the step of the newest checkpoint.
+    fn with_checkpoint_step(&self, progress: Progress) -> Progress {
+        Progress { checkpoint_step: u64::from(self.saved_step), ..progress }
+    }
+
+    /// Saves the state of a run that was resumed from elsewhere, so that the next interruption finds it.
+    fn keep_first(&mut self, run: &Run) {
+        if self.sink.as_ref().is_some_and(|sink| !sink.has_one()) {
+            self.saved_step = 0;
+            self.save(run);
+        }
+    }
+
+    /// Saves the run's state. A failure is only logged: the run can continue without a checkpoint.
+    fn save(&mut self, run: &Run) {
+        let step = run.state.step;
+        let Some(sink) = self.sink.as_mut().filter(|_| step != self.saved_step) else { return };
+        match run.checkpoint().and_then(|checkpoint| Ok(sink.save(&checkpoint)?)) {
+            Ok(()) => self.saved_step = step,
+            Err(error) => tracing::warn!(step, "checkpoint of step {step} not saved: {error}"),
+        }
+    }
+}
+
+/// Warns if growth is capped by memory.
+fn warn_if_capped(wanted: usize, estimate: &Estimate) {
+    if estimate.size < wanted {
+        tracing::warn!(
+            "growth capped at {} {} instead of {wanted} by the adapter or the memory budget",
+            estimate.size,
+            estimate.unit,
+        );
+    }
+}
+
+/// Creates the model's trainer, new or from a checkpoint.
+struct ModelFactory<'a> {
+    device: &'a Arc<Device>,
+    set: &'a TrainingSet,
+    schedule: Schedule,
+}
+
+impl ModelFactory<'_> {
+    /// The trainer at the start of a run.
+    fn create(self, rng: &mut Pcg64) -> Result<Box<dyn ModelTrainer>> {
+        let Self { device, set, schedule } = self;
+        let extent = scene_extent(set);
+        let points = match &set.points {
+            Some(points) => Cow::Borrowed(points),
+            None => {
+                let (low, high) = set.init_box.corners();
+                let positions = random_points(rng, schedule.random_points, low, high);
+                Cow::Owned(Points { positions, colors: Vec::new() })
+            }
+        };
+        let Points { positions, colors } = points.as_ref();
+        Ok(match schedule.model {
+            ModelKind::Tcgs | ModelKind::Scaffold => {
+                if schedule.plain_until > 0 {
+                    let first =
+                        PlainTrainer::new(device, schedule.plain.clone(), positions, colors, extent, rng)?;
+                    Box::new(TwoStageTrainer::new(device, schedule, first, extent))
+                } else {
+                    Box::new(AnchorTrainer::new(device, schedule, points.as_ref(), extent, rng)?)
+                }
+            }
+            ModelKind::Gaussians3d => {
+                Box::new(PlainTrainer::new(device, schedule.plain, positions, colors, extent, rng)?)
+            }
+        })
+    }
+
+    /// The trainer that a checkpoint holds the state of.
+    fn resume(self, state: ModelState) -> Result<Box<dyn ModelTrainer>> {
+        let Self { device, set, schedule } = self;
+        let extent = scene_extent(set);
+        Ok(match schedule.model {
+            ModelKind::Tcgs | ModelKind::Scaffold if schedule.plain_until > 0 => {
+                Box::new(TwoStageTrainer::resume(device, schedule, extent, state)?)
+            }
+            ModelKind::Tcgs | ModelKind::Scaffold => {
+                Box::new(AnchorTrainer::resume(device, schedule, extent, state)?)
+            }
+            ModelKind::Gaussians3d => Box::new(PlainTrainer::resume(device, schedule.plain, extent, state)?),
+        })
+    }
+}
+
+/// Milliseconds of a step on an H100 that one submission may take. Drivers reset a device after two seconds; a card a twentieth as fast
+/// then has a tenth of that.
+const MAX_SUBMISSION_MS: f64 = 10.0;
+
+/// Milliseconds of a step on an H100 for a Gaussian and for a pixel (docs/HARDWARE.md).
+const MS_A_GAUSSIAN: f64 = 6e-6;
+const MS_A_PIXEL: f64 = 1e-6;
+
+/// Whether a step of so many Gaussians is submitted in parts, since a driver could take a slow card for a hung one. Software adapters
+/// have no such limit.
+fn is_long(device: &Device, gaussians: usize, camera: &Camera) -> bool {
+    let pixels = f64::from(camera.intrinsics.width) * f64::from(camera.intrinsics.height);
+    let milliseconds = MS_A_GAUSSIAN * gaussians as f64 + MS_A_PIXEL * pixels;
+    device.variant() == KernelVariant::Hardware && milliseconds > MAX_SUBMISSION_MS
+}
+
+/// Figures of a step.
+struct Figures {
+    /// None before the first loss.
+    sums: Option<LossSums>,
+    /// As [`FigureBuffers::counts`].
+    counts: Option<Vec<u32>>,
+    /// As [`FigureBuffers::bits`].
+    bits: Option<Vec<f32>>,
+}
+
+/// Where a run stops.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Goal {
+    /// At [`Schedule::fork_step`].
+    Fork,
+    /// At the last step.
+    End,
+}
+
+struct Run {
+    device: Arc<Device>,
+    /// From the step after convergence on, the hastened one.
+    schedule: Schedule,
+    /// See [`TrainOptions::max_bytes`].
+    max_bytes: Option<u64>,
+    /// What was chosen for the dataset and the machine.
+    choices: Choices,
+    /// Decides whether the run has converged, if it may stop then.
+    watch: Option<Watch>,
+    /// Where the scene's coordinates are in the world.
+    frame: SceneFrame,
+    /// The training photographs, with cameras in the frame.
+    frames: Vec<Frame>,
+    background: Background,
+    /// Its seconds are those before `started`.
+    state: RunState,
+    /// Adjusts lambda towards the target size, if there is one.
+    control: Option<RateControl>,
+    model: Box<dyn ModelTrainer>,
+    raster: Rasterizer,
+    loss: ImageLoss,
+    wavelet: bool,
+    started: Instant,
+    first_step: u32,
+    reported: (Instant, u32),
+    /// Gaussians of the last view that was rendered; none before the first.
+    gaussians: Option<usize>,
+    batch: Batch,
+    /// Batches that were submitted and not settled yet, the first one first.
+    flights: VecDeque<Flight>,
+    /// Passes of settled batches since the rasteriser's counters were reset.
+    settled_passes: usize,
+    /// When the last batch was settled, or the first one begun.
+    paced: Instant,
+    /// Progress of settled steps that is not reported yet.
+    news: Vec<Progress>,
+    photographs: Photographs,
+}
+
+impl Run {
+    fn new(
+        device: &Arc<Device>,
+        dataset: &Dataset,
+        options: &TrainOptions,
+        budget: &MemoryBudget,
+        resume: Option<Checkpoint>,
+    ) -> Result<Self> {
+        if dataset.split(Split::Train).next().is_none() {
+            return Err(TrainError::NoTrainingFrames);
+        }
+        // A run that began in the world's frame, as those of older versions, ends in it.
+        let frame = resume.as_ref().map_or_else(|| scene_frame(dataset), Checkpoint::frame);
+        let set = TrainingSet::of(dataset, frame)?;
+        let cloud = set.points.as_ref().map_or(0, |points| points.positions.len());
+        let mut schedule = Schedule::new(options).in_frame(frame).for_points(cloud == 0);
+        let estimate = Needs::of(dataset, options, device.adapter()).within(budget)?;
+        tracing::info!("memory: {estimate}");
+        let preset_size = schedule.max_size();
+        warn_if_capped(preset_size, &estimate);
+        let watch = (options.until == Until::Converged).then(|| {
+            let (window, disturbances) = (schedule.may_converge(), schedule.disturbances());
+            Watch::new(schedule.steps, set.frames.len(), window, disturbances)
+        });
+        let adapter = device.adapter_line();
+        let max_size = estimate.size;
+        let identity = RunIdentity { options, dataset: dataset.digest, adapter: &adapter, max_size };
+        let (state, model) = match resume {
+            Some(checkpoint) => {
+                let (mut state, saved) = checkpoint.open(identity, schedule.steps, set.frames.len())?;
+                tracing::info!(step = state.step, "resuming from step {}", state.step);
+                state.continue_on(&adapter, max_size);
+                schedule.set_max_size(state.max_size);
+                if let Some(step) = state.scores.as_ref().and_then(Scores::converged_after) {
+                    schedule = schedule.hastened_after(step);
+                }
+                let factory = ModelFactory { device, set: &set, schedule: schedule.clone() };
+                (state, factory.resume(saved)?)
+            }
+            None => {
+                let mut rng = Pcg64::seed_from_u64(options.seed);
+                let lambda = schedule.lambda();
+                schedule.set_max_size(max_size);
+                let factory = ModelFactory { device, set: &set, schedule: schedule.clone() };
+                let model = factory.create(&mut rng)?;
+                let mut state = RunState::new(identity, frame, rng, lambda);
+                state.scores = watch.is_some().then(Scores::default);
+                (state, model)
+            }
+        };
+        let control = schedule.rate_control(options.max_bytes).map(|control| state.resume_control(control));
+        let choices = Choices {
+            max_anchors: state.max_size,
+            max_anchors_by: if state.max_size < preset_size { SizeBound::Memory } else { SizeBound::Preset },
+            points: if cloud > 0 { cloud } else { schedule.random_points },
+            random_points: cloud == 0,
+            narrowed_from: None,
+            shortened: None,
+        };
+        let near = NearPlane::of_extent(scene_extent(&set)).depth();
+        let settings = RasterSettings { near, ..RasterSettings::default() };
+        let now = Instant::now();
+        Ok(Self {
+            max_bytes: options.max_bytes,
+            choices,
+            watch,
+            schedule,
+            control,
+            background: options.background,
+            model,
+            raster: Rasterizer::new(Arc::clone(device), settings)?,
+            loss: ImageLoss::new(Arc::clone(device))?,
+            wavelet: options.has(Component::Wavelet),
+            started: now,
+            first_step: state.step,
+            reported: (now, state.step),
+            gaussians: None,
+            // The first batch is one step: it compiles kernels and allocates buffers.
+            batch: Batch::Timed { seconds_per_step: 1.0 },
+            flights: VecDeque::new(),
+            settled_passes: 0,
+            paced: now,
+            news: Vec::new(),
+            photographs: Photographs::new(device, &set.frames, options.background, estimate.photographs),
+            state,
+            device: Arc::clone(device),
+            frame,
+            frames: set.frames,
+        })
+    }
+
+    /// The last step on the way to `goal`.
+    fn last(&self, goal: Goal) -> u32 {
+        match goal {
+            Goal::Fork => self.schedule.fork_step(),
+            Goal::End => self.schedule.steps,
+        }
+    }
+
+    /// Runs the steps up to `goal`.
+    fn run_until(
+        &mut self,
+        goal: Goal,
+        sink: Option<&mut dyn CheckpointSink>,
+        report: &mut dyn FnMut(&Progress),
+        cancel: &CancelFlag,
+    ) -> Result<()> {
+        let mut writer = CheckpointWriter { sink, saved_step: self.state.step };
+        if self.state.step > 0 {
+            writer.keep_first(self);
+            let figures = self.read_figures()?;
+            let progress = self.progress(self.state.step, &figures);
+            report(&writer.with_checkpoint_step(progress));
+        }
+        while self.state.step < self.last(goal) {
+            if cancel.is_cancelled() {
+                // Steps that overflowed are not repeated: the checkpoint is of the last one before them.
+                self.settle(0)?;
+                writer.save(self);
+                return Err(TrainError::Cancelled);
+            }
+            let last = self.last(goal);
+            self.advance(&mut |step| step == last || writer.wants(step), cancel)?;
+            let step = self.state.step;
+            if self.flights.is_empty() {
+                // After the losses and the size of the step's own view were read, and before the checkpoint, which holds the score.
+                self.score_views_aside()?;
+                // Before the report, which states its step. A run that is cancelled in a long pause goes on from the step before it.
+                if writer.wants(step) || self.schedule.pauses_after(step + 1) || step == self.last(goal) {
+                    writer.save(self);
+                }
+            }
+            for progress in std::mem::take(&mut self.news) {
+                report(&writer.with_checkpoint_step(progress));
+            }
+        }
+        Ok(())
+    }
+
+    /// The next photograph: all of them in random order, but for those kept aside, then again in another order.
+    fn next_frame(&mut self) -> usize {
+        let next_step = self.state.step + 1;
+        let RunState { order, rng, scores, .. } = &mut self.state;
+        if order.is_empty() {
+            let aside = match (&self.watch, scores) {
+                (Some(watch), Some(scores)) if watch.keeps_aside(scores, next_step) => &watch.aside[..],
+                _ => &[],
+            };
+            order.extend((0..self.frames.len()).filter(|index| !aside.contains(index)));
+            order.shuffle(rng);
+        }
+        order.pop().unwrap_or(0)
+    }
+
+    fn at(&self, number: u32) -> Step {
+        Step {
+            number,
+            fraction: self.schedule.fraction(number),
+            lambda: self.state.lambda(),
+            size_aim: self.control.as_ref().map(RateControl::aim),
+        }
+    }
+
+    /// Whether views kept aside are scored after `step`.
+    fn scores_after(&self, step: u32) -> bool {
+        match (&self.watch, &self.state.scores) {
+            (Some(watch), Some(scores)) => watch.scores_after(scores, step),
+            _ => false,
+        }
+    }
+
+    /// Scores the views kept aside, if the last step is one after which they are, and hastens the rest of the run if they have stopped
+    /// gaining.
+    fn score_views_aside(&mut self) -> Result<()> {
+        let step = self.state.step;
+        if !self.scores_after(step) {
+            return Ok(());
+        }
+        let Some(watch) = self.watch.clone() else { return Ok(()) };
+        let mut sum = 0.0;
+        for index in &watch.aside {
+            sum += self.psnr_of_view(*index)?;
+        }
+        let psnr = sum / watch.aside.len().max(1) as f64;
+        let Some(scores) = &mut self.state.scores else { return Ok(()) };
+        watch.observe(scores, step, psnr);
+        if scores.converged_after() == Some(step) {
+            self.hasten();
+        }
+        Ok(())
+    }
+
+    /// PSNR of the training view `index` as the last step renders the scene, in dB.
+    fn psnr_of_view(&mut self, index: usize) -> Result<f64> {
+        let step = self.at(self.state.step);
+        let camera = self.frames[index].camera;
+        let size = [camera.intrinsics.width, camera.intrinsics.height];
+        let device = Arc::clone(&self.device);
+        loop {
+            let mut recorder = device.recorder("view kept aside");
+            let photograph = self.photographs.bring(&mut recorder, index)?;
+            self.model.forward(&mut recorder, &camera, &step)?;
+            self.raster.forward(&mut recorder, self.model.gaussians(), &camera, self.background.rgb())?;
+            self.loss.record(&mut recorder, size, self.raster.image(), &photograph, None)?;
+            recorder.submit()?;
+            match self.raster.take_forward_passes()?.required {
+                None => return Ok(self.sums()?.psnr()),
+                Some(needed) => self.raster.reserve(needed)?,
+            }
+        }
+    }
+
+    /// Passes through the rest of the schedule at a faster pace.
+    fn hasten(&mut self) {
+        let step = self.state.step;
+        self.schedule = self.schedule.hastened_after(step);
+        self.model.reschedule(&self.schedule);
+        let control = self.schedule.rate_control(self.max_bytes);
+        self.control = control.map(|control| self.state.resume_control(control));
+        tracing::info!(step, steps = self.schedule.steps, "converged: the rest of the schedule is shortened");
+    }
+
+    /// Submits a batch of steps: up to the next one that the host has to act after, or that `wanted` names. Settles the batch before it,
+    /// and this one too if the host has to act after it.
+    ///
+    /// Nothing is read back within a batch. If a pass overflowed its buffer of intersections, it and the passes after it changed
+    /// nothing, and are repeated with a larger buffer. Returns the number of recorded steps, repeated ones included.
+    fn advance(&mut self, wanted: &mut dyn FnMut(u32) -> bool, cancel: &CancelFlag) -> Result<u32> {
+        let mut recorded = 0;
+        loop {
+            let (last, steps, pauses) = self.submit_batch(wanted)?;
+            recorded += steps;
+            if !self.settle(if pauses { 0 } else { 1 })? {
+                continue;
+            }
+            if pauses {
+                if self.model.adapts(&last) {
+                    let views = &mut Views { raster: &mut self.raster, frames: &self.frames, cancel };
+                    self.model.adapt(&last, &mut self.state.rng, views)?;
+                }
+                if self.reports_after(last.number) {
+                    let figures = self.read_figures()?;
+                    self.take_figures(last.number, &figures)?;
+                }
+            }
+            return Ok(recorded);
+        }
+    }
+
+    /// Records and submits the steps of a batch; returns the last one, their number, and whether the host has to act after it.
+    fn submit_batch(&mut self, wanted: &mut dyn FnMut(u32) -> bool) -> Result<(Step, u32, bool)> {
+        if self.flights.is_empty() {
+            // Passes between steps have counted too.
+            self.raster.reset_forward_passes();
+            (self.settled_passes, self.paced) = (0, Instant::now());
+        }
+        let max_steps = self.batch.length();
+        let mut before = Vec::new();
+        loop {
+            before.push(self.state.clone());
+            let steps = before.len();
+            let reading = self.record(&mut |run, step| {
+                let pauses = run.pauses_after(step) || wanted(step.number);
+                let ends = pauses || run.reports_after(step.number) || steps >= max_steps;
+                ends.then_some(pauses)
+            })?;
+            if let Some((last, pauses, reading)) = reading {
+                let steps = before.len() as u32;
+                let is_reported = !pauses && self.reports_after(last.number);
+                self.flights.push_back(Flight { before, last: last.number, is_reported, reading });
+                return Ok((last, steps, pauses));
+            }
+        }
+    }
+
+    /// Whether progress is reported after a step.
+    fn reports_after(&self, step: u32) -> bool {
+        step.is_multiple_of(REPORT_INTERVAL) || step == self.schedule.steps
+    }
+
+    /// Whether the host has to act on the state after a step, before the next one.
+    fn pauses_after(&self, step: &Step) -> bool {
+        step.number == self.schedule.steps
+            || self.scores_after(step.number)
+            || self.model.adapts(step)
+            || self.schedule.pauses_after(step.number + 1)
+            // The report changes lambda.
+            || (self.control.is_some() && self.reports_after(step.number))
+    }
+
+    /// Waits for batches until `left` are in flight. Returns false if a pass had overflowed: the state is then the one before that
+    /// step, and nothing is in flight.
+    fn settle(&mut self, left: usize) -> Result<bool> {
+        while self.flights.len() > left {
+            let Some(flight) = self.flights.pop_front() else { break };
+            let Flight { mut before, last, is_reported, reading } = flight;
+            let steps = before.len();
+            let read = reading.wait(&self.device)?;
+            let passes = self.raster.forward_passes(&read[0]);
+            let now = Instant::now();
+            self.batch.update(steps as u32, (now - self.paced).as_secs_f64());
+            self.paced = now;
+            if let Some(needed) = passes.required {
+                let first = (passes.completed as usize).saturating_sub(self.settled_passes).min(steps - 1);
+                tracing::debug!(step = before[first].step + 1, needed, "no room for all intersections");
+                self.state = before.swap_remove(first);
+                self.flights.clear();
+                self.raster.reserve(needed)?;
+                return Ok(false);
+            }
+            self.settled_passes += steps;
+            if is_reported {
+                let figures = self.figures_of(&read[1..]);
+                self.take_figures(last, &figures)?;
+            }
+        }
+        Ok(true)
+    }
+
+    /// Records and submits one step. If `ends` says that a batch ends with it, and whether the host has to act after it, the outcome of
+    /// the passes so far is on its way back, with the step's figures if they are reported without a pause.
+    fn record(
+        &mut self,
+        ends: &mut dyn FnMut(&Self, &Step) -> Option<bool>,
+    ) -> Result<Option<(Step, bool, Readback)>> {
+        reach(FailurePoint::Step);
+        let step = self.at(self.state.step + 1);
+        let index = self.next_frame();
+        let camera = self.frames[index].camera;
+        self.photographs.prepare(self.state.order.iter().rev().copied());
+        let device = Arc::clone(&self.device);
+        let mut recorder = device.recorder(STEP_RECORDING);
+        recorder.stage("photograph");
+        let photograph = self.photographs.bring(&mut recorder, index)?;
+        recorder.stage("model forward");
+        self.model.forward(&mut recorder, &camera, &step)?;
+        let is_long = is_long(&device, self.model.gaussians().capacity, &camera);
+        let next_stage = |recorder: &mut Recorder<'_>, name| {
+            recorder.stage(name);
+            if is_long { recorder.flush() } else { Ok(()) }
+        };
+        next_stage(&mut recorder, "rasteriser forward")?;
+        self.raster.forward(&mut recorder, self.model.gaussians(), &camera, self.background.rgb())?;
+        next_stage(&mut recorder, "loss")?;
+        let size = [camera.intrinsics.width, camera.intrinsics.height];
+        let wavelet = self.wavelet.then(|| WaveletWeights::at(step.fraction));
+        let v_image =
+            self.loss.record(&mut recorder, size, self.raster.image(), &photograph, wavelet.as_ref())?;
+        let gaussians = self.model.gaussians().clone();
+        let d_gaussians = self.model.gaussian_gradients()?;
+        next_stage(&mut recorder, "rasteriser backward")?;
+        self.raster.backward(&mut recorder, &gaussians, &camera, v_image, &d_gaussians)?;
+        next_stage(&mut recorder, "model backward")?;
+        self.model.backward(&mut recorder, &step, self.raster.overflow_flag())?;
+        self.state.step = step.number;
+        let step = self.at(step.number);
+        let Some(pauses) = ends(self, &step) else {
+            recorder.submit()?;
+            return Ok(None);
+        };
+        let figures =
+            if !pauses && self.reports_after(step.number) { self.figure_buffers() } else { Vec::new() };
+        let buffers: Vec<Binding<'_>> = std::iter::once(self.raster.overflow_flag() as Binding<'_>)
+            .chain(figures.iter().map(|buffer| &**buffer))
+            .collect();
+        Ok(Some((step, pauses, recorder.submit_reading(&buffers)?)))
+    }
+
+    /// Where the figures of the last step are: losses, then what the model has of counts and bits.
+    fn figure_buffers(&self) -> Vec<Box<dyn AsRef<RawBuffer>>> {
+        let FigureBuffers { counts, bits } = self.model.figures();
+        let mut buffers: Vec<Box<dyn AsRef<RawBuffer>>> = Vec::new();
+        if let Some(partial) = self.loss.partial_sums() {
+            buffers.push(Box::new(partial.sums));
+        }
+        buffers.extend(counts.map(|counts| Box::new(counts) as _));
+        buffers.extend(bits.map(|bits| Box::new(bits) as _));
+        buffers
+    }
+
+    /// The figures in copies of [`Self::figure_buffers`].
+    fn figures_of(&self, copies: &[Vec<u32>]) -> Figures {
+        let FigureBuffers { counts, bits } = self.model.figures();
+        let mut copies = copies.iter();
+        let partial = self.loss.partial_sums();
+        let sums = partial.and_then(|partial| {
+            Some(partial.total(bytemuck::try_cast_slice(copies.next()?).unwrap_or_default()))
+        });
+        let counts = counts.and_then(|_| copies.next().cloned());
+        let bits = bits.and_then(|_| Some(bytemuck::cast_slice(copies.next()?).to_vec()));
+        Figures { sums, counts, bits }
+    }
+
+    /// The figures of the last submitted step. Waits for the device.
+    fn read_figures(&self) -> Result<Figures> {
+        let buffers = self.figure_buffers();
+        let buffers: Vec<Binding<'_>> = buffers.iter().map(|buffer| &**buffer).collect();
+        let reading = self.device.recorder("figures").submit_reading(&buffers)?;
+        Ok(self.figures_of(&reading.wait(&self.device)?))
+    }
+
+    /// Updates averages, the estimate of the file's size, and lambda by the figures of `step`, and adds its report to the news.
+    fn take_figures(&mut self, step: u32, figures: &Figures) -> Result<()> {
+        let diverged = TrainError::Diverged { step };
+        let sums = figures.sums.filter(|sums| sums.loss().is_finite()).ok_or(diverged)?;
+        let sample = match &figures.bits {
+            Some(bits) => self.model.bitrate(step, bits)?,
+            None => None,
+        };
+        let anchors = self.model.anchors() as f64;
+        // Steps in flight began from states without these figures.
+        let later = self.flights.iter_mut().flat_map(|flight| &mut flight.before);
+        for state in std::iter::once(&mut self.state).chain(later) {
+            if let Some(BitrateSample { bits_per_anchor, other_bytes }) = sample {
+                state.observe_bits(bits_per_anchor, anchors, other_bytes);
+            }
+            state.observe_losses(&sums);
+        }
+        if let Some(BitrateSample { other_bytes, .. }) = sample
+            && let (Some(control), Some(bytes)) = (&mut self.control, self.state.file_bytes())
+        {
+            control.observe(step, bytes as f64, other_bytes);
+            self.state.set_rate_control(control);
+        }
+        let progress = self.progress(step, figures);
+        self.news.push(progress);
+        Ok(())
+    }
+
+    /// The losses of the last step.
+    fn sums(&self) -> Result<LossSums> {
+        let diverged = TrainError::Diverged { step: self.state.step };
+        self.loss.sums()?.filter(|sums| sums.loss().is_finite()).ok_or(diverged)
+    }
+
+    /// The progress report of `step`, whose figures these are.
+    fn progress(&mut self, step: u32, figures: &Figures) -> Progress {
+        let average = self.state.average();
+        let steps_per_second = |since: Instant, from: u32| {
+            let seconds = since.elapsed().as_secs_f64();
+            (step > from && seconds > 0.0).then(|| f64::from(step - from) / seconds)
+        };
+        let speed = steps_per_second(self.reported.0, self.reported.1);
+        let mean_speed = steps_per_second(self.started, self.first_step);
+        self.reported = (Instant::now(), step);
+        let size = self.model.size(figures.counts.as_deref());
+        self.gaussians = size.gaussians.or(self.gaussians);
+        Progress {
+            step: u64::from(step),
+            total: u64::from(self.schedule.steps),
+            elapsed_seconds: self.started.elapsed().as_secs_f64(),
+            eta_seconds: mean_speed.map(|speed| f64::from(self.schedule.steps - step) / speed),
+            steps_per_second: speed,
+            anchors: size.anchors as u64,
+            gaussians: self.gaussians.unwrap_or(0) as u64,
+            loss: average.map(|average| average.loss()),
+            psnr: average.map(|average| average.psnr()),
+            ssim: average.map(|average| average.ssim),
+            bytes: self.state.file_bytes(),
+            checkpoint_step: 0,
+        }
+    }
+
+    fn checkpoint(&self) -> Result<Checkpoint> {
+        let mut state = self.state.clone();
+        state.seconds += self.started.elapsed().as_secs_f64();
+        Ok(Checkpoint::new(state, self.model.save()?))
+    }
+
+    fn finish(mut self, cancel: &CancelFlag) -> Result<Trained> {
+        let views = &mut Views { raster: &mut self.raster, frames: &self.frames, cancel };
+        let FinishedModel { scene, unrounded, context } = self.model.finish(views)?;
+        let scene = scene.in_frame(self.frame);
+        let unrounded = unrounded.map(|scene| scene.in_frame(self.frame));
+        let seconds = self.state.seconds + self.started.elapsed().as_secs_f64();
+        let steps = self.schedule.steps;
+        let convergence = match (&self.watch, &self.state.scores) {
+            (Some(watch), Some(scores)) => Some(watch.report(scores, &self.frames, steps, seconds)),
+            _ => None,
+        };
+        let shortened = convergence.as_ref().and_then(|convergence: &Convergence| {
+            Some(ShortenedRun {
+                converged_at: convergence.converged_at?,
+                steps: u64::from(steps),
+                full_steps: convergence.full_steps,
+                views_aside: convergence.views.len(),
+                psnr_given_up: convergence.psnr_given_up?,
+            })
+        });
+        let learnt = self.schedule.shape;
+        let narrowed = matches!(&scene, Scene::Anchors(scene) if Shape::of(scene) != learnt);
+        let narrowed_from = narrowed.then_some(Widths { features: learnt.features, offsets: learnt.offsets });
+        let choices = Choices { narrowed_from, shortened, ..self.choices };
+        Ok(Trained { scene, unrounded, context, steps, seconds, choices, convergence })
+    }
+}
+
+#[cfg(test)]
+mod tests;

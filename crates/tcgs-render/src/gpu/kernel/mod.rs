@@ -1,0 +1,334 @@
+//! Kernels: one `.wgsl` file each, composed with the shared files, validated, and compiled into a pipeline.
+
+use std::collections::HashMap;
+
+use naga_oil::compose::{
+    ComposableModuleDescriptor, Composer, NagaModuleDescriptor, ShaderDefValue, ShaderLanguage, ShaderType,
+};
+
+use super::{GpuError, KernelVariant};
+
+/// The text of a kernel and its name, which is the file's name and its entry point's name.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct KernelSource {
+    /// File name without extension.
+    pub name: &'static str,
+    /// WGSL with naga_oil imports.
+    pub text: &'static str,
+}
+
+/// Names the kernel file `shaders/NAME.wgsl`.
+#[macro_export]
+macro_rules! kernel_source {
+    ($name:literal) => {
+        $crate::gpu::KernelSource {
+            name: $name,
+            text: include_str!(concat!(env!("CARGO_MANIFEST_DIR"), "/shaders/", $name, ".wgsl")),
+        }
+    };
+}
+
+pub use kernel_source;
+
+/// Files that kernels import, by the path in their `#define_import_path` line, in dependency order.
+const SHARED: &[(&str, &str)] = &[
+    ("spread", include_str!("../../../shaders/shared/spread.wgsl")),
+    ("blocks", include_str!("../../../shaders/shared/blocks.wgsl")),
+    ("runs", include_str!("../../../shaders/shared/runs.wgsl")),
+    ("view", include_str!("../../../shaders/shared/view.wgsl")),
+    ("splat", include_str!("../../../shaders/shared/splat.wgsl")),
+    ("finite", include_str!("../../../shaders/shared/finite.wgsl")),
+    ("geometry", include_str!("../../../shaders/shared/geometry.wgsl")),
+    ("anchor_view", include_str!("../../../shaders/shared/anchor_view.wgsl")),
+    ("model", include_str!("../../../shaders/shared/model.wgsl")),
+    ("plain", include_str!("../../../shaders/shared/plain.wgsl")),
+    ("gaussian", include_str!("../../../shaders/shared/gaussian.wgsl")),
+    ("quantise", include_str!("../../../shaders/shared/quantise.wgsl")),
+    ("rate", include_str!("../../../shaders/shared/rate.wgsl")),
+    ("context", include_str!("../../../shaders/shared/context.wgsl")),
+    ("convolution", include_str!("../../../shaders/shared/convolution.wgsl")),
+    ("ssim", include_str!("../../../shaders/shared/ssim.wgsl")),
+    ("ssim_tile", include_str!("../../../shaders/shared/ssim_tile.wgsl")),
+];
+
+/// A compiled kernel.
+#[derive(Debug)]
+pub struct Kernel {
+    pub(super) pipeline: wgpu::ComputePipeline,
+    pub(super) layout: wgpu::BindGroupLayout,
+    /// The kernel's name.
+    pub name: &'static str,
+    /// No other kernel or buffer of the device has it.
+    pub(super) id: u64,
+}
+
+/// A composer with the shared files; needs no device. Parsing them is most of the cost of a kernel, so a device has one composer
+/// for all of its kernels.
+///
+/// # Errors
+/// [`GpuError::Kernel`] with the composer's message.
+pub(super) fn composer() -> Result<Composer, GpuError> {
+    let mut composer = Composer::default().with_capabilities(wgpu::naga::valid::Capabilities::all());
+    for (path, text) in SHARED {
+        let added = composer
+            .add_composable_module(ComposableModuleDescriptor {
+                source: text,
+                file_path: path,
+                language: ShaderLanguage::Wgsl,
+                as_name: None,
+                additional_imports: &[],
+                shader_defs: HashMap::new(),
+            })
+            .map(|_| ());
+        if let Err(error) = added {
+            let fault = error.emit_to_string(&composer);
+            return Err(GpuError::Kernel { kernel: (*path).to_owned(), fault });
+        }
+    }
+    Ok(composer)
+}
+
+/// Composes a kernel and validates it; needs no device.
+///
+/// # Errors
+/// [`GpuError::Kernel`] with the composer's or validator's message.
+pub(super) fn compose(
+    composer: &mut Composer,
+    source: KernelSource,
+    defs: &[(&str, u32)],
+) -> Result<wgpu::naga::Module, GpuError> {
+    let shader_defs =
+        defs.iter().map(|(name, value)| ((*name).to_owned(), ShaderDefValue::UInt(*value))).collect();
+    composer
+        .make_naga_module(NagaModuleDescriptor {
+            source: source.text,
+            file_path: source.name,
+            shader_type: ShaderType::Wgsl,
+            shader_defs,
+            additional_imports: &[],
+        })
+        .map_err(|error| GpuError::Kernel {
+            kernel: source.name.to_owned(),
+            fault: error.emit_to_string(composer),
+        })
+}
+
+impl Kernel {
+    pub(super) fn compile(
+        device: &wgpu::Device,
+        composer: &mut Composer,
+        source: KernelSource,
+        defs: &[(&str, u32)],
+        variant: KernelVariant,
+        id: u64,
+    ) -> Result<Self, GpuError> {
+        let module = compose(composer, source, defs)?;
+        let scope = device.push_error_scope(wgpu::ErrorFilter::Validation);
+        let module = shader_module(
+            device,
+            wgpu::ShaderModuleDescriptor {
+                label: Some(source.name),
+                source: wgpu::ShaderSource::Naga(std::borrow::Cow::Owned(module)),
+            },
+            variant,
+        );
+        let pipeline = device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
+            label: Some(source.name),
+            layout: None,
+            module: &module,
+            entry_point: None,
+            compilation_options: wgpu::PipelineCompilationOptions {
+                zero_initialize_workgroup_memory: false,
+                ..wgpu::PipelineCompilationOptions::default()
+            },
+            cache: None,
+        });
+        if let Some(error) = pollster::block_on(scope.pop()) {
+            return Err(GpuError::Kernel { kernel: source.name.to_owned(), fault: error.to_string() });
+        }
+        let layout = pipeline.get_bind_group_layout(0);
+        Ok(Self { pipeline, layout, name: source.name, id })
+    }
+}
+
+/// The module of a kernel. On hardware, loops have no counter that ends them: without it a step of a million Gaussians takes 6.5 % less
+/// time on an H100, and blending a sixth (docs/HARDWARE.md). Reads and writes stay within bounds.
+#[allow(unsafe_code, reason = "wgpu asks for it where a check of its own is left out")]
+fn shader_module(
+    device: &wgpu::Device,
+    descriptor: wgpu::ShaderModuleDescriptor<'_>,
+    variant: KernelVariant,
+) -> wgpu::ShaderModule {
+    match variant {
+        KernelVariant::Software => device.create_shader_module(descriptor),
+        KernelVariant::Hardware => {
+            let checks = wgpu::ShaderRuntimeChecks {
+                force_loop_bounding: false,
+                ..wgpu::ShaderRuntimeChecks::checked()
+            };
+            // SAFETY: every loop of every kernel ends: it counts up to a bound that it does not change, counts down to zero, or
+            // clears a bit of a word each time.
+            unsafe { device.create_shader_module_trusted(descriptor, checks) }
+        }
+    }
+}
+
+#[cfg(test)]
+mod portable;
+
+#[cfg(test)]
+mod tests {
+    use std::{
+        collections::BTreeMap,
+        fs,
+        path::{Path, PathBuf},
+    };
+
+    use super::*;
+
+    fn files(folder: &Path, extension: &str, into: &mut Vec<PathBuf>) {
+        for entry in fs::read_dir(folder).expect("a readable folder") {
+            let path = entry.expect("an entry").path();
+            if path.is_dir() {
+                files(&path, extension, into);
+            } else if path.extension().is_some_and(|found| found == extension) {
+                into.push(path);
+            }
+        }
+    }
+
+    pub(super) fn kernels() -> Vec<(&'static str, &'static str)> {
+        let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("shaders");
+        let mut kernels = Vec::new();
+        for entry in fs::read_dir(folder).expect("shaders") {
+            let path = entry.expect("an entry").path();
+            if path.extension().is_some_and(|found| found == "wgsl") {
+                let name = path.file_stem().expect("a name").to_string_lossy().into_owned();
+                let text = fs::read_to_string(&path).expect("readable");
+                kernels.push((&*name.leak(), &*text.leak()));
+            }
+        }
+        kernels
+    }
+
+    /// Definitions of the model that is trained.
+    const SHAPE: &[(&str, u32)] = &[("FEATURES", 32), ("OFFSETS", 10)];
+
+    /// Every set of definitions that a kernel is compiled with, but for the model's shape.
+    pub(super) fn variants(text: &str) -> Vec<Vec<(&'static str, u32)>> {
+        let mut variants = own_variants(text);
+        if text.contains("tcgs::spread") || text.contains("#ifdef SOFTWARE") {
+            let software = KernelVariant::Software.defs();
+            variants.extend(variants.clone().iter().map(|defs| [&defs[..], software].concat()));
+        }
+        variants
+    }
+
+    /// [`variants`] by the kernel's own definitions.
+    fn own_variants(text: &str) -> Vec<Vec<(&'static str, u32)>> {
+        let with = |more: &[(&'static str, u32)]| [SHAPE, more].concat();
+        if text.contains("SUBGROUPS") {
+            let of = |size| vec![("SUBGROUPS", size), ("GRADIENT_LANES", size)];
+            let mut variants: Vec<_> = [8, 16, 32, 64].map(|size| with(&of(size))).to_vec();
+            variants.push(with(&[of(8), vec![("EIGHT_LANES", 1)]].concat()));
+            variants.push(with(&[of(8), vec![("EIGHT_LANES", 1), ("ONE_SUBGROUP", 1)]].concat()));
+            variants.push(with(&[of(32), vec![("ONE_SUBGROUP", 1)]].concat()));
+            variants.push(with(&[("GRADIENT_LANES", 64)]));
+            variants
+        } else if text.contains("#{BLOCKS}") {
+            let of = |blocks| [0, 1, 2].map(|mode| with(&[("BLOCKS", blocks), ("MODE", mode)]));
+            [1, 9, 24].into_iter().flat_map(of).collect()
+        } else if text.contains("#ifdef OPAQUE") {
+            vec![with(&[]), with(&[("OPAQUE", 1)])]
+        } else if text.contains("#{RUN}") {
+            [1, 16].map(|run| with(&[("RUN", run)])).to_vec()
+        } else if text.contains("#{LANES}") {
+            [8, 16, 32, 64].map(|lanes| with(&[("LANES", lanes)])).to_vec()
+        } else if text.contains("tcgs::plain") {
+            (0..=3).map(|degree| with(&[("DEGREE", degree)])).collect()
+        } else {
+            vec![with(&[])]
+        }
+    }
+
+    #[test]
+    fn every_kernel_validates_and_is_named_as_its_file() {
+        let mut faults = Vec::new();
+        let mut composer = composer().expect("the shared files");
+        for (name, text) in kernels() {
+            for defs in variants(text) {
+                match compose(&mut composer, KernelSource { name, text }, &defs) {
+                    Ok(module) => {
+                        let entries: Vec<_> = module.entry_points.iter().map(|e| e.name.clone()).collect();
+                        if entries != [name] {
+                            faults.push(format!("{name}: its entry points are {entries:?}"));
+                        }
+                    }
+                    Err(fault) => faults.push(format!("{defs:?}: {fault}")),
+                }
+            }
+        }
+        assert!(faults.is_empty(), "{}", faults.join("\n"));
+    }
+
+    #[test]
+    fn a_kernel_does_not_depend_on_those_composed_before() {
+        let text = include_str!("../../../shaders/spawn_gaussians.wgsl");
+        let source = KernelSource { name: "spawn_gaussians", text };
+        let made = |composer: &mut Composer, features: u32| {
+            let defs = [("FEATURES", features), ("OFFSETS", 10)];
+            format!("{:?}", compose(composer, source, &defs).expect("composed"))
+        };
+        let fresh = |features: u32| made(&mut composer().expect("the shared files"), features);
+        let mut shared = composer().expect("the shared files");
+        let broken = KernelSource { name: "broken", text: "fn broken() { nonsense }" };
+        for features in [32, 50, 32] {
+            assert!(made(&mut shared, features) == fresh(features), "{features} features");
+            assert!(compose(&mut shared, broken, &[]).is_err());
+        }
+        assert!(fresh(32) != fresh(50));
+    }
+
+    #[test]
+    fn every_kernel_has_a_twin_of_its_name() {
+        let mut sources = Vec::new();
+        files(&Path::new(env!("CARGO_MANIFEST_DIR")).join(".."), "rs", &mut sources);
+        sources.retain(|path| {
+            path.components().any(|part| part.as_os_str().to_string_lossy().starts_with("twin"))
+        });
+        let twins: String = sources.iter().map(|path| fs::read_to_string(path).expect("readable")).collect();
+        let missing: Vec<_> = kernels()
+            .into_iter()
+            .map(|(name, _)| name)
+            .filter(|name| !twins.contains(&format!("pub fn {name}(")))
+            .collect();
+        assert!(missing.is_empty(), "no twin of {missing:?}");
+    }
+
+    #[test]
+    fn every_kernel_is_used_by_one_source_and_every_shared_file_is_listed() {
+        let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+        let mut sources = Vec::new();
+        files(&root.join(".."), "rs", &mut sources);
+        let mut uses: BTreeMap<String, usize> = BTreeMap::new();
+        for source in sources {
+            let text = fs::read_to_string(source).expect("readable");
+            for (start, mark) in text.match_indices("kernel_source!(\"") {
+                let name = text[start + mark.len()..].split('"').next().expect("a name");
+                *uses.entry(name.to_owned()).or_default() += 1;
+            }
+        }
+        let expected: BTreeMap<_, _> = kernels().iter().map(|(name, _)| ((*name).to_owned(), 1)).collect();
+        assert_eq!(uses, expected);
+        let mut shared = Vec::new();
+        files(&root.join("shaders/shared"), "wgsl", &mut shared);
+        let mut shared: Vec<_> = shared
+            .iter()
+            .map(|path| path.file_stem().expect("a name").to_string_lossy().into_owned())
+            .collect();
+        let mut listed: Vec<_> = SHARED.iter().map(|(name, _)| (*name).to_owned()).collect();
+        shared.sort();
+        listed.sort();
+        assert_eq!(shared, listed);
+    }
+}
