@@ -7,7 +7,7 @@ CARGO := . scripts/env.sh && cargo
 DATA ?= $(or $(TCGS_SHARED),../shared)/data
 
 # What `make swiftshader` runs: kernels against their twins, gradients, repeated runs, and whole jobs.
-SWIFTSHADER_TESTS ?= accuracy::every primitives raster_device loss:: neural:: first_light::
+SWIFTSHADER_TESTS ?= accuracy::every primitives raster_device loss:: neural:: offset_masks first_light::
 
 # How long `make fuzz` gives each target.
 FUZZ_SECONDS ?= 600
@@ -57,8 +57,8 @@ schemathesis: setup ## hold a running service to openapi.yaml with schemathesis,
 	@scripts/schemathesis.sh
 
 swiftshader: setup ## tests of kernels and whole jobs on SwiftShader, a driver with narrow limits, from a Debian package
-	@. scripts/env.sh && cargo test --locked --no-run --test it
-	@. scripts/env.sh && scripts/swiftshader.sh cargo test --locked --test it -- $(SWIFTSHADER_TESTS)
+	@. scripts/env.sh && cargo test --locked --workspace --no-run --test it
+	@. scripts/env.sh && scripts/swiftshader.sh cargo test --locked --workspace --test it -- $(SWIFTSHADER_TESTS)
 
 gpu-kit: setup ## pack binaries and photographs for scripts/gpu_day.sh, to run on a GPU without cargo or a network
 	@scripts/gpu_kit.sh

@@ -149,11 +149,12 @@ views() {
 
 # Kernels against their f64 twins and central differences, on the adapter and on its other variant of kernels.
 tests() {
-    if [ ! -f "$work/tests" ]; then
+    if [ ! -f "$work/tests" ] || [ ! -f "$work/render_tests" ]; then
         leave_out tests "the kit has no tests"
         return
     fi
-    run tests tests 150 300 env -C "$work" "$work/tests" gpu:: render:: train::loss train::adam train::wavelet train::rate:: \
+    run tests tests 60 150 env -C "$work" "$work/render_tests" --skip oracle --test-threads 4
+    run tests training_tests 90 150 env -C "$work" "$work/tests" train::loss train::adam train::wavelet train::rate:: \
         train::context --skip oracle --test-threads 4
 }
 

@@ -3,7 +3,7 @@
 # benchmark as release binaries, and photographs. The kit stays under 48 MB: if it must, chair_800 keeps half of its test views, then
 # chair is left out.
 #
-#   gpu_kit.sh [--tests] [FOLDER]    replaces FOLDER, by default out/gpu-kit; --tests adds the tests, a large binary
+#   gpu_kit.sh [--tests] [FOLDER]    replaces FOLDER, by default out/gpu-kit; --tests adds the tests, two large binaries
 set -euo pipefail
 cd "$(dirname "$0")/.."
 # shellcheck source=scripts/env.sh
@@ -16,7 +16,7 @@ target=${CARGO_TARGET_DIR:-target}
 binaries=(tcgs kernels)
 for argument in "$@"; do
     case $argument in
-    --tests) binaries+=(tests) ;;
+    --tests) binaries+=(tests render_tests) ;;
     -*) echo "gpu_kit: there is no flag $argument" >&2; exit 2 ;;
     *) kit=$argument ;;
     esac
@@ -36,6 +36,9 @@ binary() {
     case $1 in
     tcgs) cargo build --release --locked --quiet && echo "$target/release/tcgs" ;;
     tests) cargo test --release --locked --no-run --test it --message-format json 2>/dev/null | built ;;
+    render_tests)
+        cargo test --release --locked --no-run --package tcgs-render --test it --message-format json 2>/dev/null | built
+        ;;
     kernels) cargo bench --locked --no-run --bench kernels --message-format json 2>/dev/null | built ;;
     esac
 }

@@ -16,8 +16,7 @@ use super::{
 use crate::{
     domain::{Camera, Lattice, SceneScale},
     gpu::Device,
-    init::all_offsets,
-    model::{AnchorRows, NetworkLayout, Shape},
+    model::{AnchorRows, NetworkLayout, Shape, all_offsets},
     render::{
         AnchorGradients, DeviceAnchors, NeuralGaussians, Projection, Rasterizer,
         twin::{self, Cutoffs, GaussianGradient, neural},

@@ -5,7 +5,7 @@ use std::{
     sync::{Arc, OnceLock},
 };
 
-use tcgs::gpu::{AdapterChoice, Device, DeviceSettings, KernelVariant};
+use tcgs_render::gpu::{AdapterChoice, Device, DeviceSettings, KernelVariant};
 
 /// The adapter of `TCGS_ADAPTER`, by default lavapipe.
 pub fn choice() -> AdapterChoice {

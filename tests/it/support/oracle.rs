@@ -1,19 +1,18 @@
 //! The independent values for splatting in `tests/oracles/splatting`, one case a file; one that is too large for the
 //! repository is in the shared data.
 
-use std::{io::Read as _, path::Path};
+use std::io::Read as _;
 
 use flate2::read::GzDecoder;
 use glam::{DMat3, DVec3};
 use safetensors::{Dtype, SafeTensors};
-use tcgs::{
-    domain::{Camera, Intrinsics, Pose},
-    render::{Projection, RasterSettings, twin::Gaussian},
-};
+use tcgs_codec::domain::{Camera, Intrinsics, Pose};
+use tcgs_render::{Projection, RasterSettings, twin::Gaussian};
 
 use super::{
     sh::{Rows, sh_colors},
     shared::shared,
+    tree::root,
 };
 
 /// The case that is not committed, with its bound.
@@ -183,7 +182,7 @@ impl Oracle {
 
 /// What a deflated file of `tests/oracles` holds.
 pub fn committed(name: &str) -> Vec<u8> {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/oracles").join(name);
+    let path = root().join("tests/oracles").join(name);
     let file = std::fs::File::open(&path).unwrap_or_else(|fault| panic!("{}: {fault}", path.display()));
     let mut bytes = Vec::new();
     GzDecoder::new(file).read_to_end(&mut bytes).expect("gzip");

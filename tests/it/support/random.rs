@@ -3,10 +3,8 @@
 use glam::DVec3;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
-use tcgs::{
-    domain::{Camera, Intrinsics, Pose},
-    render::twin::Gaussian,
-};
+use tcgs_codec::domain::{Camera, Intrinsics, Pose};
+use tcgs_render::twin::Gaussian;
 
 /// `count` Gaussians in the box [-1, 1]³ with standard deviations up to `size`.
 pub fn gaussians(seed: u64, count: usize, size: f64) -> Vec<Gaussian> {

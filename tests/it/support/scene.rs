@@ -3,10 +3,11 @@
 use std::sync::Arc;
 
 use glam::DVec3;
-use tcgs::{
-    domain::Camera,
+use tcgs_codec::domain::Camera;
+use tcgs_render::{
+    GEOMETRY_SECTIONS, GaussianGradients, Gaussians, RasterCounts, Rasterizer,
     gpu::{Buffer, Device},
-    render::{GEOMETRY_SECTIONS, GaussianGradients, Gaussians, RasterCounts, Rasterizer, twin::Gaussian},
+    twin::Gaussian,
 };
 
 /// Gaussians on the host.

@@ -5,9 +5,10 @@ use std::{
     path::{Path, PathBuf},
 };
 
-/// The repository's root.
+/// The repository's root, from the tests of any crate.
 pub fn root() -> &'static Path {
-    Path::new(env!("CARGO_MANIFEST_DIR"))
+    let mut folders = Path::new(env!("CARGO_MANIFEST_DIR")).ancestors();
+    folders.find(|folder| folder.join("ARCHITECTURE.md").exists()).expect("a crate of the repository")
 }
 
 /// The text of the file at this path below the root.

@@ -7,6 +7,10 @@ mod context;
 mod convergence;
 mod loss;
 mod memory;
+#[allow(dead_code, reason = "tests of the renderer use the rest")]
+#[path = "../../../crates/tcgs-render/tests/it/neural/scene.rs"]
+mod neural_scene;
+mod offset_masks;
 mod rate;
 mod rate_control;
 mod rounding;

@@ -9,7 +9,7 @@ use super::{
     VoxelRule, choose_lattice,
     lattice::{coarse, neighbour_distances, voxelise},
 };
-use crate::model::{AnchorRows, Shape};
+use crate::model::{AnchorRows, Shape, all_offsets};
 
 /// A point set that cannot initialise a scene.
 #[derive(Debug, Clone, PartialEq, Eq, Error)]
@@ -70,12 +70,6 @@ fn thin(mut cells: Vec<[i32; 3]>, max_cells: usize) -> Vec<[i32; 3]> {
         cells.retain(|cell| taken.insert(coarse(*cell, factor)));
     }
     cells
-}
-
-/// The mask with every offset on.
-#[must_use]
-pub fn all_offsets(shape: Shape) -> u32 {
-    if shape.offsets >= 32 { u32::MAX } else { (1 << shape.offsets) - 1 }
 }
 
 #[cfg(test)]
@@ -152,12 +146,5 @@ mod tests {
         }
         let mut rng = rand_pcg::Pcg64::seed_from_u64(1);
         assert!(random_points(&mut rng, 9, [1e8; 3], [1e8; 3]).iter().all(|point| *point == [1e8; 3]));
-    }
-
-    #[test]
-    fn every_offset_has_its_bit() {
-        for (offsets, mask) in [(1, 1), (10, 0x3ff), (31, 0x7fff_ffff), (32, u32::MAX)] {
-            assert_eq!(all_offsets(Shape::new(4, offsets)), mask);
-        }
     }
 }

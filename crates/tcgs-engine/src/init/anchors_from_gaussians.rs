@@ -9,11 +9,11 @@ use glam::{Mat3, Quat, Vec3};
 use rand::{Rng, RngExt};
 
 use super::{
-    FirstAnchors, InitError, MAX_CELL, PassingUnits, VoxelRule, all_offsets, cell_of, cell_within,
-    choose_lattice, coarse,
+    FirstAnchors, InitError, MAX_CELL, PassingUnits, VoxelRule, cell_of, cell_within, choose_lattice, coarse,
     first_anchors::{SLOT, SlotValues},
 };
 use crate::domain::Lattice;
+use crate::model::all_offsets;
 use crate::model::{
     AnchorRows, GaussianRows, Shape,
     gaussian_rows::{COLOR, LOG_SCALE, OPACITY, QUAT, SH_CONSTANT},

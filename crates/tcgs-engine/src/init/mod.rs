@@ -11,7 +11,7 @@ mod lattice;
 mod principal;
 mod symmetric_eigen;
 
-pub use anchors::{InitError, all_offsets, initial_rows, random_points};
+pub use anchors::{InitError, initial_rows, random_points};
 pub use anchors_from_gaussians::anchors_from_gaussians;
 pub use anchors_from_points::anchors_from_points;
 pub use first_anchors::{FirstAnchors, PassingUnits};

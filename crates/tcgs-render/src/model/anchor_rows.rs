@@ -185,6 +185,12 @@ pub fn retain_rows<T: Copy>(values: &mut Vec<T>, width: usize, keep: &[bool]) {
     values.truncate(next);
 }
 
+/// The mask with every offset on.
+#[must_use]
+pub fn all_offsets(shape: Shape) -> u32 {
+    if shape.offsets >= 32 { u32::MAX } else { (1 << shape.offsets) - 1 }
+}
+
 #[cfg(test)]
 mod tests {
     use rand::SeedableRng;
@@ -255,5 +261,12 @@ mod tests {
         );
         assert_eq!([rows.row(0), rows.row(1)], [&kept[0][..], &kept[1][..]]);
         assert_eq!(rows.values.len(), 2 * shape.row());
+    }
+
+    #[test]
+    fn every_offset_has_its_bit() {
+        for (offsets, mask) in [(1, 1), (10, 0x3ff), (31, 0x7fff_ffff), (32, u32::MAX)] {
+            assert_eq!(all_offsets(Shape::new(4, offsets)), mask);
+        }
     }
 }

@@ -5,8 +5,7 @@ use rand_pcg::Pcg64;
 use tcgs::{
     domain::Lattice,
     gpu::{Buffer, Device},
-    init::all_offsets,
-    model::{AnchorRows, Shape},
+    model::{AnchorRows, Shape, all_offsets},
     render::DeviceAnchors,
     train::context::{
         AnchorSample, Quantisation, QuantisationPhase, QuantisedRows, RateInputs, RateTerm, SampleOutputs,

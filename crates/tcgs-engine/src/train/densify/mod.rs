@@ -9,8 +9,8 @@ use rand::{Rng, RngExt};
 
 use super::{MaskRows, Statistics};
 use crate::{
-    init::{MAX_CELL, all_offsets, cell_of, coarse},
-    model::{AnchorRows, retain_rows},
+    init::{MAX_CELL, cell_of, coarse},
+    model::{AnchorRows, all_offsets, retain_rows},
 };
 
 /// Anchors whose mean opacity is below this are pruned.

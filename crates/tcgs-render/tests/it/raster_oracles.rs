@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use tcgs::render::{Rasterizer, twin};
+use tcgs_render::{Rasterizer, twin};
 
 use crate::support::{
     gpu::gpu,

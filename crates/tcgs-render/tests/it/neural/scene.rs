@@ -5,15 +5,13 @@ use std::{collections::BTreeSet, sync::Arc};
 use glam::DVec3;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
-use tcgs::{
-    domain::{Camera, Lattice, SceneScale},
+use tcgs_codec::domain::{Camera, Lattice, SceneScale};
+use tcgs_render::model::all_offsets;
+use tcgs_render::{
+    AnchorGradients, DeviceAnchors, NeuralGaussians, Projection, RasterSettings,
     gpu::Device,
-    init::all_offsets,
     model::{AnchorRows, NetworkLayout, Shape},
-    render::{
-        AnchorGradients, DeviceAnchors, NeuralGaussians, Projection, RasterSettings,
-        twin::{GaussianGradient, SplatGradient, neural as twin},
-    },
+    twin::{GaussianGradient, SplatGradient, neural as twin},
 };
 
 use crate::support::scene::sections;

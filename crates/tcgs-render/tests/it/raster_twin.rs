@@ -1,7 +1,7 @@
 //! The f64 twin's gradients against central differences of its own forward pass.
 
 use glam::DVec3;
-use tcgs::render::{
+use tcgs_render::{
     Projection, RasterSettings,
     twin::{self, Cutoffs, Gaussian, GaussianGradient},
 };

@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
-use tcgs::gpu::{
+use tcgs_render::gpu::{
     Device, DeviceSettings, GpuError, KernelVariant, Pairs, RadixSort, Scan, ScanSlots, Subgroups, twin,
 };
 
@@ -13,7 +13,7 @@ use crate::support::gpu::{gpu, gpu_with, variants};
 const SIZES: [usize; 15] =
     [0, 1, 2, 127, 129, 255, 256, 257, 2047, 2048, 2049, 65_535, 65_536, 65_537, 1_000_003];
 
-fn junk(device: &Device, len: usize) -> tcgs::gpu::Buffer<u32> {
+fn junk(device: &Device, len: usize) -> tcgs_render::gpu::Buffer<u32> {
     device.upload("junk", &vec![0xdead_beef_u32; len]).expect("a buffer")
 }
 

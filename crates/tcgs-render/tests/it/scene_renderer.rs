@@ -3,14 +3,12 @@
 use std::{cell::Cell, sync::Arc};
 
 use glam::DVec3;
-use tcgs::{
-    domain::{AnchorScene, Background, Digest, Lattice, Scene, SceneScale},
+use tcgs_codec::domain::{AnchorScene, Background, Digest, Lattice, Scene, SceneScale};
+use tcgs_render::{
+    PackedImage, Projection, RasterSettings, RenderError, RenderViews, SceneRenderer, SceneViewer,
     model::{AnchorRows, NetworkLayout, Shape},
-    render::{
-        PackedImage, Projection, RasterSettings, RenderError, RenderViews, SceneRenderer, SceneViewer,
-        twin::{self, neural},
-        views::{MIN_VISIBLE_ALPHA, ScalarKind, Viewable},
-    },
+    twin::{self, neural},
+    views::{MIN_VISIBLE_ALPHA, ScalarKind, Viewable},
 };
 
 use crate::support::{
@@ -86,7 +84,7 @@ fn views_of_a_sequence_are_those_of_single_views() {
 #[test]
 fn a_sequence_on_a_lost_device_ends_with_its_loss() {
     let (_, _, finished) = scene();
-    let device = tcgs::gpu::Device::new(&choice()).expect("a device");
+    let device = tcgs_render::gpu::Device::new(&choice()).expect("a device");
     let mut renderer = SceneRenderer::new(&device, &finished, Background::White).expect("a renderer");
     let mut views = renderer.views(std::iter::repeat(random::camera(45, 37)));
     views.next().expect("a view").expect("rendered");

@@ -1,6 +1,6 @@
 //! The shaders' tests for NaN and infinity.
 
-use tcgs::gpu::KernelSource;
+use tcgs_render::gpu::KernelSource;
 
 use crate::support::gpu::gpu;
 

@@ -4,18 +4,16 @@ use std::sync::Arc;
 
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
-use tcgs::{
-    domain::{Camera, SceneScale},
-    init::all_offsets,
+use tcgs_codec::domain::{Camera, SceneScale};
+use tcgs_engine::train::{Adam, AdamStep, FIRST_LOGIT, MaskRows, OffsetMasks, twin};
+use tcgs_render::model::all_offsets;
+use tcgs_render::{
+    DeviceAnchors, NeuralGaussians, RasterSettings, Rasterizer,
     model::Shape,
-    render::{
-        DeviceAnchors, NeuralGaussians, RasterSettings, Rasterizer,
-        twin::{GaussianGradient, neural},
-    },
-    train::{Adam, AdamStep, FIRST_LOGIT, MaskRows, OffsetMasks, twin},
+    twin::{GaussianGradient, neural},
 };
 
-use super::scene::{SMALL, Scene, USUAL, projection, random_gradients};
+use super::neural_scene::{SMALL, Scene, USUAL, projection, random_gradients};
 use crate::support::{gpu::gpu, oracle::relative_l2, random};
 
 /// A logistic of 0.01, as published.

@@ -1,6 +1,8 @@
 //! NaN and infinity: an anchor that holds one does not affect the others.
 
-use tcgs::{domain::SceneScale, init::all_offsets, model::NetworkLayout, render::NeuralGaussians};
+use tcgs_codec::domain::SceneScale;
+use tcgs_render::model::all_offsets;
+use tcgs_render::{NeuralGaussians, model::NetworkLayout};
 
 use super::scene::{Found, SMALL, Scene, projection, random_gradients, run};
 use crate::support::{gpu::gpu, random};

@@ -4,6 +4,5 @@ mod device;
 mod faults;
 mod gradients;
 mod independent;
-mod masks;
 mod scene;
 mod visibility;

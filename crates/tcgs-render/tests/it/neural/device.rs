@@ -2,14 +2,12 @@
 
 use std::sync::Arc;
 
-use tcgs::{
-    domain::{Camera, Lattice, Pose, SceneScale},
+use tcgs_codec::domain::{Camera, Lattice, Pose, SceneScale};
+use tcgs_render::{
+    AnchorGradients, DeviceAnchors, NeuralGaussians, RasterSettings, Rasterizer, RenderError,
     gpu::{AdapterReport, Device, DeviceSettings, GpuError, Subgroups},
     model::{AnchorRows, NetworkLayout, Shape},
-    render::{
-        AnchorGradients, DeviceAnchors, NeuralGaussians, RasterSettings, Rasterizer, RenderError,
-        twin::{GaussianGradient, neural as twin},
-    },
+    twin::{GaussianGradient, neural as twin},
 };
 
 use super::scene::{Found, SMALL, Scene, USUAL, bits, projection, random_gradients, run};
@@ -285,7 +283,7 @@ fn statistics_before_a_backward_pass_are_refused() {
     let neural =
         NeuralGaussians::new(Arc::clone(&device), SMALL, near, SceneScale::DEFAULT).expect("the kernels");
     let uploaded =
-        tcgs::render::DeviceAnchors::upload(&device, &scene.anchors, &scene.networks).expect("room");
+        tcgs_render::DeviceAnchors::upload(&device, &scene.anchors, &scene.networks).expect("room");
     let statistics = device.buffer("statistics", 3 * 8).expect("room");
     let mut recorder = device.recorder("statistics");
     let mark = device.buffer("overflow flag", 1).expect("room");

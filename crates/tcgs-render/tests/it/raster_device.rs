@@ -3,13 +3,11 @@
 use std::sync::Arc;
 
 use glam::DVec3;
-use tcgs::{
-    domain::Camera,
+use tcgs_codec::domain::Camera;
+use tcgs_render::{
+    ForwardPasses, GaussianGradients, Gaussians, Projection, RasterSettings, Rasterizer, RenderError,
     gpu::{Device, DeviceSettings, Subgroups},
-    render::{
-        ForwardPasses, GaussianGradients, Gaussians, Projection, RasterSettings, Rasterizer, RenderError,
-        twin,
-    },
+    twin,
 };
 
 use crate::support::{

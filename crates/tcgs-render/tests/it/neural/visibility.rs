@@ -3,14 +3,12 @@
 use glam::{DMat3, DVec2, DVec3};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
-use tcgs::{
-    domain::{Camera, Intrinsics, Lattice, Pose, SceneScale},
+use tcgs_codec::domain::{Camera, Intrinsics, Lattice, Pose, SceneScale};
+use tcgs_render::{
+    AnchorGradients, DeviceAnchors, NeuralGaussians, Projection, RasterSettings, RenderError,
     gpu::{BLOCK, kernel_source},
     model::{AnchorRows, NetworkLayout},
-    render::{
-        AnchorGradients, DeviceAnchors, NeuralGaussians, Projection, RasterSettings, RenderError,
-        twin::neural as twin,
-    },
+    twin::neural as twin,
 };
 
 use super::scene::{SMALL, Scene, projection, random_gradients, run};

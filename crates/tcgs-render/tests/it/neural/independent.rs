@@ -1,25 +1,27 @@
 //! From a file to a view's Gaussians, compared with `tests/oracles/gaussians.py`, which was written from `FORMAT.md` and has its own
 //! decoder. Here the twin is compared with it; other tests compare the device with the twin.
 
-use std::{path::Path, process::Command};
+use std::process::Command;
 
 use glam::DVec3;
-use tcgs::{
-    codec::{DecodeLimits, decode},
+use tcgs_codec::{
+    DecodeLimits, decode,
     domain::{Camera, Intrinsics, Pose},
+};
+use tcgs_render::{
     model::{AnchorRows, NetworkLayout},
-    render::twin::neural as twin,
+    twin::neural as twin,
 };
 
 use super::scene::projection;
-use crate::support::skip::skip;
+use crate::support::{skip::skip, tree::root};
 
 /// Rows keep scalings as logarithms in f32, which costs some 1e-6 of them.
 const BOUND: f64 = 1e-5;
 
 #[test]
 fn a_trained_file_has_the_gaussians_that_its_format_says() {
-    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let root = root();
     let file = root.join("tests/golden/trained_v1.tcgs");
     let eye = DVec3::new(2.75, -2.25, 1.75);
     let mut script = Command::new("python3");

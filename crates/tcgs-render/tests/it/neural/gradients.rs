@@ -1,10 +1,10 @@
 //! The f64 twins' gradients against central differences of their own forward pass.
 
 use glam::DVec3;
-use tcgs::{
-    domain::SceneScale,
+use tcgs_codec::domain::SceneScale;
+use tcgs_render::{
     model::{NetworkLayout, Shape},
-    render::twin::{Gaussian, GaussianGradient, neural as twin},
+    twin::{Gaussian, GaussianGradient, neural as twin},
 };
 
 use super::scene::{Scene, projection, random_gradients};
