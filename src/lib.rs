@@ -8,16 +8,14 @@
 //! The modules below are layers; a module may use only those named in `tests/it/layers.rs`, which reads every path and holds that
 //! table.
 
-pub mod accuracy;
 pub mod domain;
 pub mod http;
 pub mod https;
-pub mod plot;
 pub mod store;
 pub mod viewers;
 pub mod webhooks;
 pub mod worker;
 
 pub use tcgs_codec as codec;
-pub use tcgs_engine::{eval, export, ingest, init, picture, pipeline, ply, sample, train};
+pub use tcgs_engine::{eval, export, ingest, init, picture, pipeline, plot, ply, sample, train};
 pub use tcgs_render::{self as render, gpu, model};

@@ -3,10 +3,8 @@
 use std::{collections::BTreeSet, sync::Arc};
 
 use serde_json::Value;
-use tcgs::{
-    accuracy::{self, Bound, Case},
-    gpu::Device,
-};
+use tcgs::gpu::Device;
+use tcgs_lab::accuracy::{self, Bound, Case};
 
 use crate::support::{
     gpu::{gpu, variants},

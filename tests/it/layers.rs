@@ -20,10 +20,8 @@ const LAYERS: &[(&str, Layers)] = &[
         &[
             ("domain", &[]),
             ("store", &["domain"]),
-            ("accuracy", &["domain", "gpu", "codec", "model", "init", "render", "eval", "train"]),
             ("worker", &["domain", "store", "pipeline"]),
             ("https", &[]),
-            ("plot", &[]),
             ("webhooks", &["domain", "store", "https"]),
             ("viewers", &["domain", "store", "render", "https"]),
             ("http", &["domain", "codec", "store", "render", "viewers", "plot", "picture"]),
@@ -35,6 +33,7 @@ const LAYERS: &[(&str, Layers)] = &[
             ("domain", &[]),
             ("ply", &[]),
             ("picture", &["domain"]),
+            ("plot", &[]),
             ("sample", &["domain"]),
             ("ingest", &["domain", "ply"]),
             ("export", &["domain", "ply"]),
@@ -112,7 +111,13 @@ fn module_of(path: &Path, root: &Path) -> String {
 fn crates() -> Vec<(&'static str, PathBuf)> {
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));
     let member = |name: &'static str| (name, root.join("crates").join(name.replace('_', "-")).join("src"));
-    vec![("tcgs", root.join("src")), member("tcgs_codec"), member("tcgs_render"), member("tcgs_engine")]
+    vec![
+        ("tcgs", root.join("src")),
+        member("tcgs_codec"),
+        member("tcgs_render"),
+        member("tcgs_engine"),
+        member("tcgs_lab"),
+    ]
 }
 
 #[test]

@@ -7,6 +7,7 @@ pub mod ingest;
 pub mod init;
 pub mod picture;
 pub mod pipeline;
+pub mod plot;
 pub mod ply;
 pub mod sample;
 pub mod train;

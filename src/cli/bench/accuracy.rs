@@ -2,10 +2,11 @@
 
 use serde::Serialize;
 use tcgs::{
-    accuracy::{self, Outcome},
     domain::{Problem, ProblemType},
     gpu::Device,
 };
+
+use tcgs_lab::accuracy::{self, Outcome};
 
 use crate::cli::{CliError, Report, adapter::AdapterFlag};
 

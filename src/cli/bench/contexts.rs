@@ -9,9 +9,10 @@ use serde::Serialize;
 use tcgs::{
     domain::{CancelFlag, Problem, ProblemType},
     gpu::Device,
-    pipeline::context_trials::{ContextTrial, TrialScene, context_trials},
     train::ContextFitSettings,
 };
+
+use tcgs_lab::context_trials::{ContextTrial, TrialScene, context_trials};
 
 use crate::cli::{CliError, Report, adapter::AdapterFlag, files};
 

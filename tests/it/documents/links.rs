@@ -61,7 +61,7 @@ fn paths_in_the_architecture_exist() {
         .filter(|span| span.ends_with(['/']) || span.ends_with(".rs") || span.ends_with(".wgsl"))
         .collect();
     assert!(paths.len() > 20, "{paths:?}");
-    let crates = ["codec", "render", "engine"].map(|name| format!("crates/tcgs-{name}/src"));
+    let crates = ["codec", "render", "engine", "lab"].map(|name| format!("crates/tcgs-{name}/src"));
     let folders: Vec<&str> = crates.iter().map(String::as_str).chain(["src", "."]).collect();
     let exists = |path: &str| folders.iter().any(|folder| root().join(folder).join(path).exists());
     let missing: Vec<&&str> = paths.iter().filter(|path| !exists(path)).collect();

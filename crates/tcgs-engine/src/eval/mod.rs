@@ -5,7 +5,6 @@
 //! error over the three channels, means are over views. [`crate::domain::Conventions`] states them in the metrics.
 
 mod bands;
-pub mod bjontegaard;
 mod error_map;
 mod haar;
 mod interval;

@@ -3,7 +3,6 @@
 //! The reported figures are those of the file as read back from its own bytes.
 
 mod branches;
-pub mod context_trials;
 mod curve;
 mod encode;
 mod error;

@@ -10,26 +10,14 @@ use std::{
     process::{Command, Stdio},
 };
 
-use serde::{Deserialize, Serialize};
 use tcgs::{
     domain::{Dataset, Problem, ProblemType},
     pipeline::JobOutput,
 };
 
-use crate::cli::{CliError, files, wiring};
+use tcgs_lab::report::record::ExternalFile;
 
-/// A file in another program's format, and its quality.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub(super) struct ExternalFile {
-    /// Name of the format.
-    pub(super) format: String,
-    /// Bytes of the file.
-    pub(super) bytes: u64,
-    /// Held-out PSNR of what it decodes to, in dB.
-    pub(super) psnr: Option<f64>,
-    /// Held-out SSIM.
-    pub(super) ssim: Option<f64>,
-}
+use crate::cli::{CliError, files, wiring};
 
 /// Checks that there is a script, before runs that take hours.
 pub(super) fn check(script: &Path) -> Result<(), CliError> {

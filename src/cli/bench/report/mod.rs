@@ -3,23 +3,10 @@
 //! A record is kept as soon as its run is finished, and a report that is started again makes only what is missing. Tables and charts are
 //! written anew after every run, so they can be read while the report goes on.
 
-mod content;
-mod csv;
-mod equal_seconds;
 mod external_formats;
-mod machine;
-mod markdown;
-mod matrix;
-mod page;
-mod plots;
-mod published;
-mod record;
 mod runner;
-mod section;
 mod sets;
-mod summary;
 mod sweep;
-mod variant;
 
 use std::{
     collections::{BTreeMap, BTreeSet},
@@ -33,14 +20,17 @@ use tcgs::{
     pipeline::ReferenceViews,
 };
 
-use self::{
+use tcgs_lab::report::{
     content::Content,
+    csv, markdown,
     matrix::Matrix,
+    page, plots, published,
     record::RunRecord,
-    runner::{FailedRun, Runner, SuiteSet},
     summary::{Curve, Group},
     sweep::SweepRecord,
 };
+
+use self::runner::{FailedRun, Runner, SuiteSet};
 use crate::cli::{
     CliError, Report, adapter::AdapterFlag, files, json_lines::JsonLines, lpips::LpipsFlag,
     signals::Interruption, wiring,
@@ -90,14 +80,16 @@ pub(crate) struct Args {
 
 /// Makes the runs that are missing and writes the report.
 pub(crate) fn run(args: &Args) -> Result<Report, CliError> {
-    let matrix = Matrix::read(&args.matrix)?;
+    let text =
+        fs::read_to_string(&args.matrix).map_err(|fault| CliError::unreadable(&args.matrix, &fault))?;
     let in_matrix = |fault: String| CliError::Usage(format!("{}: {fault}", args.matrix.display()));
+    let matrix = Matrix::parse(&text).map_err(in_matrix)?;
     published::check(&matrix.published).map_err(in_matrix)?;
     let named = matrix.named_sets();
     let only: &[&str] = if matrix.takes_all_sets() { &[] } else { &named };
     let found = sets::find(&args.suite, only, &named)?;
     let names: Vec<String> = found.iter().map(|(name, _)| name.clone()).collect();
-    let plan = matrix.plan(&names)?;
+    let plan = matrix.plan(&names).map_err(CliError::Usage)?;
     files::check_writable(&args.output.join("report.html"))?;
     if let Some(document) = &args.table {
         // Checked hours before the tables exist.

@@ -14,12 +14,13 @@ use tcgs::{
     train::Schedule,
 };
 
-use super::{
-    ADVICE, external_formats,
+use tcgs_lab::report::{
     machine::Machine,
     matrix::PlannedRun,
-    record::{Course, ExportRecord, RunKey, RunRecord},
+    record::{Course, ExportRecord, ExternalFile, RunKey, RunRecord},
 };
+
+use super::{ADVICE, external_formats};
 use crate::cli::{
     CliError, json_lines::JsonLines, memory::MemoryFlags, notice::notice, progress::Display,
     signals::Interruption, wiring,
@@ -205,7 +206,7 @@ struct Measured {
     render_seconds: Option<f64>,
     high_band: Option<f64>,
     exports: Vec<ExportRecord>,
-    external_formats: Vec<external_formats::ExternalFile>,
+    external_formats: Vec<ExternalFile>,
 }
 
 impl Measured {

@@ -6,13 +6,13 @@ use tcgs::{
         encode,
     },
     domain::{Background, CancelFlag, ContextCandidates, ContextKind},
-    pipeline::context_trials::TrialScene,
     train::{
         ContextFitSettings, TrainError,
         context::{ContextConfig, PlaneConfig},
         fit_contexts,
     },
 };
+use tcgs_lab::context_trials::TrialScene;
 
 use crate::support::gpu::gpu;
 

@@ -56,7 +56,7 @@ fn on_device(rows: &[Row]) -> Vec<[f32; 4]> {
     let device = gpu();
     let source = KernelSource {
         name: "symbol_bits_probe",
-        text: include_str!("../../../../src/accuracy/symbol_bits_probe.wgsl"),
+        text: include_str!("../../../../crates/tcgs-lab/src/accuracy/symbol_bits_probe.wgsl"),
     };
     let kernel = device.kernel(source, &[]).expect("the probe");
     let given = device.upload("rows", rows).expect("room");
