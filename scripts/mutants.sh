@@ -29,7 +29,7 @@ store)
     first='^store::'
     ;;
 http)
-    layers=(domain store viewers plot https webhooks worker http)
+    layers=(domain engine store viewers https webhooks worker http)
     support=(authority balancer bucket contract database eventually fakes faults postgres receiver service skip server sse)
     files=(crates shaders migrations openapi.yaml)
     without=()

@@ -9,6 +9,7 @@
 //! table.
 
 pub mod domain;
+pub mod engine;
 pub mod http;
 pub mod https;
 pub mod store;

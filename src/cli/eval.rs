@@ -90,7 +90,7 @@ pub(crate) fn run(args: &Args) -> Result<Report, CliError> {
     }
     let (anchors, gaussians) = (decoded.scene.anchors(), decoded.scene.gaussians());
     let (background, decode_sha256) = (decoded.background, decoded.decode_sha256);
-    let renderer = wiring::Renderer::open(decoded, &args.adapter.adapter)?;
+    let renderer = wiring::SceneViews::open(decoded, &args.adapter.adapter)?;
     let mut names = FileNames::default();
     let mut save = |name: &str, render: &Image, photograph: &Image| match &args.save {
         None => Ok(()),

@@ -106,7 +106,7 @@ pub(crate) fn run(args: &Args) -> Result<Report, CliError> {
     // A file that could not be measured would look like one that failed.
     let renderer = match args.unmeasured {
         true => None,
-        false => Some(wiring::Renderer::open(file.clone(), &args.adapter.adapter).map_err(unmeasurable)?),
+        false => Some(wiring::SceneViews::open(file.clone(), &args.adapter.adapter).map_err(unmeasurable)?),
     };
     let cameras = dataset.as_ref().map(training_cameras);
     let origin = if args.world { Origin::World } else { Origin::Nearby };

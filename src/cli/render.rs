@@ -28,7 +28,7 @@ pub(crate) fn run(args: &Args) -> Result<Report, CliError> {
     let camera = args.camera.camera()?;
     let decoded = wiring::read(&files::read(&args.file)?)
         .map_err(|problem| problem.in_file(args.file.display().to_string()))?;
-    let renderer = wiring::Renderer::open(decoded, &args.adapter.adapter)?;
+    let renderer = wiring::SceneViews::open(decoded, &args.adapter.adapter)?;
     picture::write(&args.output, &renderer.view(&camera)?)?;
     Ok(Report::text(format!("wrote {}", args.output.display())))
 }

@@ -5,7 +5,6 @@
 
 pub mod access;
 mod defaults;
-pub mod exported_scene;
 pub mod id;
 pub mod job;
 pub mod key;
@@ -14,13 +13,13 @@ pub mod random_source;
 pub mod viewer_token;
 pub mod webhook;
 pub mod webhook_secret;
+pub mod workers;
 
 pub(crate) use tcgs_codec::named_choice;
 pub use tcgs_engine::domain::*;
 
 pub use access::{Caller, DEFAULT_MAX_PRIORITY, MAX_PRIORITY, ProjectLimits, Scope};
 pub(crate) use defaults::with_defaults;
-pub use exported_scene::{ExportFidelity, ExportedScene};
 pub use id::{DatasetId, DeliveryId, EndpointId, JobId, KeyId, ProjectId, UploadId};
 pub use job::{Event, EventKind, Job, JobState};
 pub use key::{ApiKey, KeyHash, MalformedKey};
@@ -29,3 +28,4 @@ pub use random_source::{RandomError, RandomSource, SystemRandom};
 pub use viewer_token::ViewerToken;
 pub use webhook::WebhookEvent;
 pub use webhook_secret::WebhookSecret;
+pub use workers::{WorkerCounts, Workers};

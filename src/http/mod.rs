@@ -36,10 +36,7 @@ use tower_http::catch_panic::CatchPanicLayer;
 pub use config::HttpConfig;
 pub use server::client_address::{ProxyNetwork, TrustedProxies};
 pub use server::{Listeners, ServeError, bind, serve};
-pub use state::{
-    AppState, DatasetCheck, ForgetJob, RendererOf, SceneExporter, SceneLoader, SceneSource, Services,
-    ViewerCensus, WorkerCensus, WorkerCounts,
-};
+pub use state::{AppState, Services};
 pub use viewer::{ViewerConfig, ViewerServices, serve as serve_viewer};
 
 /// Every route of the API.

@@ -1,6 +1,6 @@
 //! State shared by the handlers. Its services are passed in, so that tests can replace them and layers stay separate.
 
-use std::{fmt, ops::Deref, path::Path, sync::Arc};
+use std::{fmt, ops::Deref, sync::Arc};
 
 use bytes::Bytes;
 use tokio::{runtime::Handle, sync::Semaphore};
@@ -20,53 +20,10 @@ use super::{
     views::ViewRenderer,
 };
 use crate::{
-    domain::{
-        Clock, DatasetSummary, Digest, ExportedScene, JobId, KeyId, NamedCamera, Problem, ProjectId,
-        RandomSource, SceneFormat,
-    },
-    render::{RenderViews, views::Viewable},
+    domain::{Clock, Digest, KeyId, Problem, ProjectId, RandomSource, Workers},
+    engine::SceneEngine,
     store::{Blobs, Store},
 };
-
-/// Checks a dataset archive before a scene or job is created from it; blocks.
-pub type DatasetCheck = Arc<dyn Fn(&Path) -> Result<DatasetSummary, Problem> + Send + Sync>;
-
-/// Reads a finished scene's file; blocks.
-pub type SceneLoader = Arc<dyn Fn(&[u8]) -> Result<Viewable, Problem> + Send + Sync>;
-
-/// The renderer of the scene in a file.
-pub type RendererOf = Arc<dyn Fn(Digest) -> Result<Arc<dyn RenderViews>, Problem> + Send + Sync>;
-
-/// The file of a finished scene.
-#[derive(Clone, Copy)]
-pub struct SceneSource<'a> {
-    /// Its hash.
-    pub digest: Digest,
-    /// Reads it; blocks.
-    pub read: &'a dyn Fn() -> Result<Bytes, Problem>,
-}
-
-/// Exports a finished scene to another format and measures the export's fidelity from the dataset's cameras; blocks.
-pub type SceneExporter =
-    Arc<dyn Fn(SceneSource<'_>, SceneFormat, &[NamedCamera]) -> Result<ExportedScene, Problem> + Send + Sync>;
-
-/// Removes files of a deleted job outside the store and its blobs; blocks.
-pub type ForgetJob = Arc<dyn Fn(JobId) + Send + Sync>;
-
-/// Counts the worker processes.
-pub type WorkerCensus = Arc<dyn Fn() -> WorkerCounts + Send + Sync>;
-
-/// Counts the viewers that are alive; `None` if this process renders by itself.
-pub type ViewerCensus = Arc<dyn Fn() -> Option<usize> + Send + Sync>;
-
-/// The worker processes of this server.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct WorkerCounts {
-    /// How many there should be; 0 if others run them.
-    pub expected: usize,
-    /// How many are alive.
-    pub alive: usize,
-}
 
 /// The services that the handlers use.
 #[derive(Clone)]
@@ -79,20 +36,10 @@ pub struct Services {
     pub clock: Arc<dyn Clock>,
     /// Cryptographic randomness.
     pub entropy: Arc<dyn RandomSource>,
-    /// See [`DatasetCheck`].
-    pub check: DatasetCheck,
-    /// See [`SceneLoader`].
-    pub load: SceneLoader,
-    /// See [`RendererOf`].
-    pub renderer: RendererOf,
-    /// See [`SceneExporter`].
-    pub export: SceneExporter,
-    /// See [`ForgetJob`].
-    pub forget: ForgetJob,
-    /// See [`WorkerCensus`].
-    pub workers: WorkerCensus,
-    /// See [`ViewerCensus`].
-    pub viewers: ViewerCensus,
+    /// Checks, views and exports.
+    pub engine: Arc<dyn SceneEngine>,
+    /// The worker processes.
+    pub workers: Arc<dyn Workers>,
 }
 
 impl Services {

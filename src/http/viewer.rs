@@ -28,11 +28,11 @@ use super::{
     metrics::Meters,
     problem::internal,
     server::{accept, health},
-    state::{SceneExporter, SceneLoader, SceneSource, read_blob},
+    state::read_blob,
 };
 use crate::{
     domain::{Problem, ProblemType, ViewerToken},
-    render::RenderViews,
+    engine::{SceneEngine, SceneSource},
     store::Blobs,
     viewers::protocol::{
         self, Channels, EXPORT, ExportHead, ExportRequest, MAX_EXPORT_REQUEST, MAX_RENDER_REQUEST,
@@ -64,12 +64,8 @@ impl Default for ViewerConfig {
 pub struct ViewerServices {
     /// Scenes.
     pub blobs: Blobs,
-    /// See [`SceneLoader`].
-    pub load: SceneLoader,
-    /// Renders views.
-    pub renderer: Arc<dyn RenderViews>,
-    /// See [`SceneExporter`].
-    pub export: SceneExporter,
+    /// Renders and exports.
+    pub engine: Arc<dyn SceneEngine>,
     /// What a request has to send.
     pub token: ViewerToken,
 }
@@ -186,17 +182,18 @@ async fn render(State(viewer): State<Arc<Viewer>>, message: Bytes) -> Result<Vec
     let rendered = spawn_blocking(move || {
         let _turn = turn;
         let services = &viewer.services;
-        let load = || (services.load)(&read_blob(&services.blobs, &runtime, artifact)?);
+        let load = || services.engine.load(&read_blob(&services.blobs, &runtime, artifact)?);
+        let renderer = services.engine.renderer(artifact)?;
         match channels {
             Channels::Color => {
-                let image = services.renderer.render(artifact, &load, &camera)?;
+                let image = renderer.render(artifact, &load, &camera)?;
                 Ok::<_, Refusal>(protocol::write(
                     &PictureHead { channels: image.channels() },
                     image.samples(),
                 )?)
             }
             Channels::Scalars(kind) => {
-                let plane = services.renderer.render_scalars(artifact, &load, &camera, kind)?;
+                let plane = renderer.render_scalars(artifact, &load, &camera, kind)?;
                 let samples: Vec<u8> = plane.values.iter().flat_map(|value| value.to_le_bytes()).collect();
                 Ok(protocol::write(&PictureHead { channels: 1 }, &samples)?)
             }
@@ -214,7 +211,7 @@ async fn export(State(viewer): State<Arc<Viewer>>, message: Bytes) -> Result<Vec
         let _turn = turn;
         let services = &viewer.services;
         let read = || read_blob(&services.blobs, &runtime, artifact);
-        let made = (services.export)(SceneSource { digest: artifact, read: &read }, format, &cameras)?;
+        let made = services.engine.export(SceneSource { digest: artifact, read: &read }, format, &cameras)?;
         let head =
             ExportHead { gaussians: made.gaussians, sh_degree: made.sh_degree, fidelity: made.fidelity };
         Ok::<_, Refusal>(protocol::write(&head, &made.bytes)?)

@@ -12,4 +12,4 @@ mod remote;
 
 pub use announcement::{ANNOUNCE_EVERY, announce};
 pub use pool::{NoViewer, ViewerPool};
-pub use remote::{export, renderer};
+pub use remote::{RemoteEngine, export, renderer};

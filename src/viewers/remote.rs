@@ -1,18 +1,61 @@
-//! Views and exports by the viewers of a pool.
+//! The engine whose views and exports are made by the viewers of a pool.
 
-use std::sync::Arc;
+use std::{path::Path, sync::Arc};
 
 use super::{
     pool::{NoViewer, ViewerPool, unexpected},
     protocol::{self, Channels, ExportHead, ExportRequest, PictureHead, RenderRequest},
 };
 use crate::{
-    domain::{Camera, Digest, ExportedScene, Image, NamedCamera, Problem, SceneFormat},
+    domain::{Camera, DatasetSummary, Digest, ExportedScene, Image, NamedCamera, Problem, SceneFormat},
+    engine::{SceneEngine, SceneSource, read_scene},
+    ingest::DatasetChecker,
     render::{
         RenderViews,
         views::{ScalarImage, ScalarKind, Viewable},
     },
 };
+
+/// Checks datasets in this process, and has viewers render and export.
+pub struct RemoteEngine {
+    checker: DatasetChecker,
+    pool: Arc<ViewerPool>,
+}
+
+impl RemoteEngine {
+    /// With what checks datasets and the viewers.
+    #[must_use]
+    pub fn new(checker: DatasetChecker, pool: Arc<ViewerPool>) -> Self {
+        Self { checker, pool }
+    }
+}
+
+impl SceneEngine for RemoteEngine {
+    fn check(&self, archive: &Path) -> Result<DatasetSummary, Problem> {
+        self.checker.check(archive)
+    }
+
+    fn load(&self, file: &[u8]) -> Result<Viewable, Problem> {
+        read_scene(file)
+    }
+
+    fn renderer(&self, file: Digest) -> Result<Arc<dyn RenderViews>, Problem> {
+        Ok(renderer(&self.pool, file)?)
+    }
+
+    fn export(
+        &self,
+        source: SceneSource<'_>,
+        format: SceneFormat,
+        cameras: &[NamedCamera],
+    ) -> Result<ExportedScene, Problem> {
+        export(&self.pool, source.digest, format, cameras)
+    }
+
+    fn viewers(&self) -> Option<usize> {
+        Some(self.pool.len())
+    }
+}
 
 /// The renderer of a scene: the viewer that is asked for it first, with those of the same identity in reserve.
 ///

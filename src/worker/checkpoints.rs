@@ -82,7 +82,7 @@ fn newest(job: &Path, attempt: u32) -> Option<PathBuf> {
 }
 
 /// Removes the checkpoints of a deleted job below `root`.
-pub fn forget(root: &Path, job: JobId) {
+pub(super) fn forget(root: &Path, job: JobId) {
     remove(&folder(root, job));
 }
 

@@ -24,7 +24,6 @@ use thiserror::Error;
 use tokio_util::sync::CancellationToken;
 use uuid::Uuid;
 
-pub use checkpoints::forget as forget_checkpoints;
 pub use claim::serve;
 
 use crate::domain::JobId;

@@ -22,8 +22,11 @@ use tokio::{
 };
 use tokio_util::sync::CancellationToken;
 
-use super::{WORKER_ID_VARIABLE, liveness, new_worker_id};
-use crate::store::{Store, WorkerDeath};
+use super::{WORKER_ID_VARIABLE, checkpoints, liveness, new_worker_id};
+use crate::{
+    domain::{JobId, WorkerCounts, Workers},
+    store::{Store, WorkerDeath},
+};
 
 /// Which program to run as workers, and its timeouts.
 #[derive(Debug, Clone)]
@@ -105,7 +108,7 @@ pub struct Supervisor {
 }
 
 /// A cheap view of the live children, for readiness checks.
-#[derive(Debug, Clone)]
+#[derive(Default, Debug, Clone)]
 pub struct LiveWorkers(Vec<watch::Receiver<Option<u32>>>);
 
 impl LiveWorkers {
@@ -119,6 +122,30 @@ impl LiveWorkers {
     #[must_use]
     pub fn pids(&self) -> Vec<u32> {
         self.0.iter().filter_map(|child| *child.borrow()).collect()
+    }
+}
+
+/// The workers of a supervisor, with the folder of their checkpoints.
+pub struct SupervisedWorkers {
+    live: LiveWorkers,
+    checkpoints: PathBuf,
+}
+
+impl SupervisedWorkers {
+    /// Of live workers that keep checkpoints in this folder.
+    #[must_use]
+    pub fn new(live: LiveWorkers, checkpoints: PathBuf) -> Self {
+        Self { live, checkpoints }
+    }
+}
+
+impl Workers for SupervisedWorkers {
+    fn counts(&self) -> WorkerCounts {
+        WorkerCounts { expected: self.live.expected(), alive: self.live.pids().len() }
+    }
+
+    fn forget(&self, job: JobId) {
+        checkpoints::forget(&self.checkpoints, job);
     }
 }
 

@@ -20,11 +20,12 @@ const LAYERS: &[(&str, Layers)] = &[
         &[
             ("domain", &[]),
             ("store", &["domain"]),
+            ("engine", &["domain", "ingest", "export", "pipeline", "render"]),
             ("worker", &["domain", "store", "pipeline"]),
             ("https", &[]),
             ("webhooks", &["domain", "store", "https"]),
-            ("viewers", &["domain", "store", "render", "https"]),
-            ("http", &["domain", "codec", "store", "render", "viewers", "plot", "picture"]),
+            ("viewers", &["domain", "ingest", "engine", "store", "render", "https"]),
+            ("http", &["domain", "codec", "engine", "store", "render", "viewers", "plot", "picture"]),
         ],
     ),
     (

@@ -1,17 +1,22 @@
 //! Views and exports by viewers, here servers of this process with renderers that tell who rendered what.
 
-use std::sync::{
-    Arc, Mutex,
-    atomic::{AtomicBool, Ordering},
+use std::{
+    path::Path,
+    sync::{
+        Arc, Mutex,
+        atomic::{AtomicBool, Ordering},
+    },
 };
 
 use glam::DVec3;
 use tcgs::{
     domain::{
-        Background, Camera, Clock as _, Digest, ExportFidelity, ExportedScene, Image, Intrinsics,
-        ManualClock, NamedCamera, Pose, Problem, ProblemType, SceneFormat, Split, SystemRandom, ViewerToken,
+        Background, Camera, Clock as _, DatasetSummary, Digest, ExportFidelity, ExportedScene, Image,
+        Intrinsics, ManualClock, NamedCamera, Pose, Problem, ProblemType, SceneFormat, Split, SystemRandom,
+        ViewerToken,
     },
-    http::{self, HttpConfig, SceneSource, ViewerConfig, ViewerServices},
+    engine::{SceneEngine, SceneSource},
+    http::{self, HttpConfig, ViewerConfig, ViewerServices},
     render::{
         RenderViews,
         views::{ScalarImage, ScalarKind, Viewable},
@@ -50,6 +55,43 @@ impl Painter {
 
     fn painted(&self) -> Vec<Digest> {
         self.painted.lock().expect("not poisoned").clone()
+    }
+}
+
+/// Paints views, and makes files out of what it was given.
+struct PainterEngine(Arc<Painter>);
+
+impl SceneEngine for PainterEngine {
+    fn check(&self, archive: &Path) -> Result<DatasetSummary, Problem> {
+        fakes::check(archive)
+    }
+
+    fn load(&self, file: &[u8]) -> Result<Viewable, Problem> {
+        assert!(file.starts_with(b"scene "), "the scene's own file");
+        Ok(Viewable {
+            scene: tcgs::domain::Scene::Anchors(fakes::empty_scene()),
+            background: Background::White,
+        })
+    }
+
+    fn renderer(&self, _: Digest) -> Result<Arc<dyn RenderViews>, Problem> {
+        Ok(self.0.clone())
+    }
+
+    fn export(
+        &self,
+        source: SceneSource<'_>,
+        format: SceneFormat,
+        cameras: &[NamedCamera],
+    ) -> Result<ExportedScene, Problem> {
+        let file = (source.read)()?;
+        let bytes = [format.name().as_bytes(), &file, cameras[0].name.as_bytes()].concat();
+        let fidelity = Some(ExportFidelity { psnr: 0.1 + 0.2, views: 2 });
+        Ok(ExportedScene { bytes, gaussians: 5, sh_degree: 3, fidelity })
+    }
+
+    fn viewers(&self) -> Option<usize> {
+        None
     }
 }
 
@@ -140,20 +182,7 @@ impl Fixture {
         };
         let services = ViewerServices {
             blobs: self.blobs.clone(),
-            load: Arc::new(|file| {
-                assert!(file.starts_with(b"scene "), "the scene's own file");
-                Ok(Viewable {
-                    scene: tcgs::domain::Scene::Anchors(fakes::empty_scene()),
-                    background: Background::White,
-                })
-            }),
-            renderer: painter.clone(),
-            export: Arc::new(|source: SceneSource<'_>, format: SceneFormat, cameras: &[NamedCamera]| {
-                let file = (source.read)()?;
-                let bytes = [format.name().as_bytes(), &file, cameras[0].name.as_bytes()].concat();
-                let fidelity = Some(ExportFidelity { psnr: 0.1 + 0.2, views: 2 });
-                Ok(ExportedScene { bytes, gaussians: 5, sh_degree: 3, fidelity })
-            }),
+            engine: Arc::new(PainterEngine(painter.clone())),
             token: record.token.clone(),
         };
         let shutdown = CancellationToken::new();

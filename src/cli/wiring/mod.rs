@@ -3,7 +3,6 @@
 //! Commands call only the functions below, so an engine can be replaced here without a change to any command. Errors are
 //! [`Problem`]s.
 
-mod export;
 mod first_key;
 mod keys;
 mod private;
@@ -22,20 +21,18 @@ use std::{
 use tcgs::{
     codec::{self, EncodeError, EncodeSettings, Encoded},
     domain::{
-        AnchorScene, Background, Camera, Dataset, DatasetSummary, Digest, ExifOrientation, Image,
-        MemoryLimits, NamedCamera, Problem, ProblemType, Scene, Scores, Split,
+        AnchorScene, Background, Dataset, DatasetSummary, ExifOrientation, Image, MemoryLimits, NamedCamera,
+        Problem, ProblemType, Scene, Scores, Split,
     },
     eval::{InFlight, Lpips, ViewTasks, band_errors, for_each_view, mean_scores_with, score_view},
     export::anchors,
     gpu::AdapterChoice,
     ingest::{self, LoadBudget},
     pipeline::{Pipeline, scene_file},
-    render::{RenderViews, SceneViewer, views::Viewable},
+    render::{RenderViews, SceneViewer},
     train::{CheckpointError, CheckpointFolder},
 };
 
-use export::fidelity;
-pub(crate) use export::{Baking, Packing, Place, Quality, compare, export};
 pub(crate) use keys::{
     WithoutKeys, change_key, change_project, create_key, create_project, keys, projects, revoke_key,
     without_keys,
@@ -53,7 +50,11 @@ pub(crate) const SCALING_STEP: f32 = 0.05;
 /// Default quantisation step of offsets (the published one).
 pub(crate) const OFFSET_STEP: f32 = 0.2;
 
-pub(crate) use scene_file::SceneFile;
+pub(crate) use tcgs::pipeline::{
+    exported::{Baking, Packing, Place, Quality, compare, export},
+    scene_file::SceneFile,
+    scene_views::SceneViews,
+};
 
 /// What is known of a file without decoding its attributes.
 #[derive(Debug)]
@@ -110,7 +111,7 @@ pub(crate) fn cameras(path: &Path) -> Result<Vec<NamedCamera>, Problem> {
 
 /// The mean error of held-out views in the high wavelet bands; `None` without such views.
 pub(crate) fn high_band_error(
-    renderer: &Renderer,
+    renderer: &SceneViews,
     dataset: &Dataset,
     background: Background,
 ) -> Result<Option<f64>, Problem> {
@@ -205,48 +206,8 @@ pub(crate) fn views(adapter: &AdapterChoice, memory: u64) -> Result<(Arc<dyn Ren
     Ok((Arc::new(viewer), line))
 }
 
-/// Renders views of one scene.
-pub(crate) struct Renderer {
-    /// Adapter and driver in one line.
-    pub(crate) adapter: String,
-    views: Arc<dyn RenderViews>,
-    key: Digest,
-    viewable: Viewable,
-}
-
-impl Renderer {
-    /// Opens the adapter for the scene of a file.
-    pub(crate) fn open(file: SceneFile, adapter: &AdapterChoice) -> Result<Self, Problem> {
-        let (views, adapter) = views(adapter, u64::MAX)?;
-        let viewable = Viewable { scene: file.scene, background: file.background };
-        // Any hash that differs between scenes serves as the key.
-        Ok(Self { adapter, views, key: file.decode_sha256, viewable })
-    }
-
-    /// A renderer that is already open, for the scene of a file with this hash.
-    pub(crate) fn over(views: Arc<dyn RenderViews>, key: Digest, file: SceneFile) -> Self {
-        let viewable = Viewable { scene: file.scene, background: file.background };
-        Self { adapter: views.identity(), views, key, viewable }
-    }
-
-    /// Another scene on the same adapter.
-    pub(crate) fn beside(&self, file: SceneFile) -> Self {
-        Self {
-            adapter: self.adapter.clone(),
-            views: Arc::clone(&self.views),
-            key: file.decode_sha256,
-            viewable: Viewable { scene: file.scene, background: file.background },
-        }
-    }
-
-    /// The view from `camera`, over the background that the scene was trained on.
-    pub(crate) fn view(&self, camera: &Camera) -> Result<Image, Problem> {
-        self.views.render(self.key, &|| Ok(self.viewable.clone()), camera)
-    }
-}
-
 /// The mean seconds of rendering a held-out view while nothing else runs; `None` without such views.
-pub(crate) fn render_seconds(renderer: &Renderer, dataset: &Dataset) -> Result<Option<f64>, Problem> {
+pub(crate) fn render_seconds(renderer: &SceneViews, dataset: &Dataset) -> Result<Option<f64>, Problem> {
     let (mut views, mut seconds) = (0, 0.0);
     for frame in dataset.split(Split::Test) {
         let began = Instant::now();
@@ -260,7 +221,7 @@ pub(crate) fn render_seconds(renderer: &Renderer, dataset: &Dataset) -> Result<O
 /// The scores of the held-out views and their means, and the seconds of rendering. `each` gets every view's name, render and
 /// photograph, in the order of the frames. Views are scored while the next ones are rendered.
 pub(crate) fn score(
-    renderer: &Renderer,
+    renderer: &SceneViews,
     dataset: &Dataset,
     background: Background,
     lpips: Option<&Lpips>,

@@ -15,7 +15,7 @@ use futures_util::future::OptionFuture;
 use tcgs::{
     domain::{MemoryLimits, OutboundPolicy, Problem, ProblemType, ProjectLimits, SystemClock, SystemRandom},
     gpu::{AdapterChoice, driver_cache},
-    http::{self, HttpConfig, Services, WorkerCounts},
+    http::{self, HttpConfig, Services},
     https::ExtraRoots,
     ingest::DatasetChecker,
     pipeline::ReferenceViews,
@@ -31,7 +31,7 @@ use tcgs::{
 use super::{
     first_key::FirstKey,
     private,
-    rendering::{Rendering, elsewhere, here, loader},
+    rendering::{Rendering, elsewhere, here},
     runtime::{run_until_stopped, runtime, stop_on_signals, unavailable},
 };
 use crate::cli::{CliError, files, logging::Format, storage::Storage};
@@ -114,8 +114,11 @@ pub(crate) fn serve(options: ServeOptions) -> Result<(), CliError> {
         super::lpips(options.lpips.as_deref())?;
         let roots = webhook_roots(options.webhook_roots.as_deref())?;
         // The adapter and the address come before the database: a service that cannot start must not migrate the schema of one that runs.
-        let here =
-            (!options.remote_views).then(|| here(&options.adapter, options.view_memory)).transpose()?;
+        let checker = || DatasetChecker::new(config.limits.checks, config.limits.check_time);
+        let here = match options.remote_views {
+            true => None,
+            false => Some(here(&options.adapter, options.view_memory, checker())?),
+        };
         let listeners = http::bind(&config, has_keys).await.map_err(|fault| unavailable(&fault))?;
         let store = open_store(&options.storage, options.limits, OlderSchema::Migrate).await?;
         if let Some(first_key) = first_key {
@@ -124,9 +127,9 @@ pub(crate) fn serve(options: ServeOptions) -> Result<(), CliError> {
         let blobs = open_blobs(&options.storage, &store).await?;
         private::close_all(&options.storage.data);
         let shutdown = stop_on_signals()?;
-        let Rendering { renderer, export, viewers, watch } = match here {
+        let Rendering { engine, watch } = match here {
             Some(here) => here,
-            None => elsewhere(&store, &shutdown).await.map_err(|fault| unavailable(&*fault))?,
+            None => elsewhere(&store, &shutdown, checker()).await.map_err(|fault| unavailable(&*fault))?,
         };
 
         let mut children = supervise::SuperviseConfig::this_program(
@@ -161,19 +164,8 @@ pub(crate) fn serve(options: ServeOptions) -> Result<(), CliError> {
             blobs,
             clock: Arc::new(SystemClock),
             entropy: Arc::new(SystemRandom),
-            check: {
-                let checks = DatasetChecker::new(config.limits.checks, config.limits.check_time);
-                Arc::new(move |archive: &Path| checks.check(archive))
-            },
-            load: loader(),
-            export,
-            renderer,
-            forget: Arc::new(move |job| worker::forget_checkpoints(&checkpoints, job)),
-            viewers,
-            workers: Arc::new(move || WorkerCounts {
-                expected: live_workers.expected(),
-                alive: live_workers.pids().len(),
-            }),
+            engine,
+            workers: Arc::new(supervise::SupervisedWorkers::new(live_workers, checkpoints)),
         };
         let address = listeners.address().unwrap_or(options.http.listen);
         if let Ok(Some(address)) = listeners.metrics_address() {

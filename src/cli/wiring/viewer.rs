@@ -4,8 +4,10 @@ use std::{net::SocketAddr, sync::Arc};
 
 use tcgs::{
     domain::{ProjectLimits, SystemRandom, ViewerToken},
+    engine::LocalEngine,
     gpu::AdapterChoice,
     http::{self, HttpConfig, ServeError, ViewerConfig, ViewerServices},
+    ingest::DatasetChecker,
     store::ViewerRecord,
     viewers::announce,
 };
@@ -13,7 +15,6 @@ use tokio::net::TcpListener;
 use url::Url;
 
 use super::{
-    rendering::{exporter, loader},
     runtime::{run_until_stopped, stop_on_signals, unavailable},
     service::{OlderSchema, open_blobs, open_store},
 };
@@ -67,10 +68,11 @@ pub(crate) fn viewer(options: ViewerOptions) -> Result<(), CliError> {
             token: token.clone(),
         };
         let announced = tokio::spawn(announce(store.clone(), record, shutdown.clone()));
-        let export = exporter(Arc::clone(&views));
-        let services = ViewerServices { blobs, load: loader(), renderer: views, export, token };
-        tracing::info!(%address, adapter, "rendering views for replicas at {url}");
         let config = HttpConfig { listen: address, ..HttpConfig::default() };
+        let checker = DatasetChecker::new(config.limits.checks, config.limits.check_time);
+        let engine = Arc::new(LocalEngine::new(checker, views));
+        let services = ViewerServices { blobs, engine, token };
+        tracing::info!(%address, adapter, "rendering views for replicas at {url}");
         http::serve_viewer(listener, config, ViewerConfig::default(), services, shutdown).await;
         if let Err(fault) = announced.await {
             tracing::warn!(%fault, "the viewer's announcement stopped early");

@@ -155,11 +155,11 @@ impl ReceivedDataset {
         let Ok(Ok(permit)) = timeout(state.limits.check_time, permit).await else {
             return Err(ProblemResponse::busy("other datasets are being checked; try again later"));
         };
-        let check = state.services.check.clone();
+        let engine = Arc::clone(&state.services.engine);
         let checked = spawn_blocking(move || {
             // Held as long as the thread works, also if the client disconnects: the process has a limited number of them.
             let _permit = permit;
-            let checked = check(self.path());
+            let checked = engine.check(self.path());
             (self, checked)
         });
         let (received, checked) = checked.await?;

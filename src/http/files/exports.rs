@@ -28,6 +28,7 @@ use super::{
 };
 use crate::{
     domain::{Digest, ExportFidelity, ExportedScene, JobId, NamedCamera, ProjectId, SceneFormat, SceneFrame},
+    engine::SceneSource,
     http::{
         auth::cross_site::{FollowedLink, refuse_followed_link},
         datasets::received::withdraw_blob,
@@ -35,7 +36,7 @@ use crate::{
         problem::{ApiResult, ProblemResponse},
         request::{Parameters, Reservations, require_free_space},
         slots::{Capacity, Slots},
-        state::{AppState, SceneSource},
+        state::AppState,
     },
     store::{ArtifactKind, ExportRecord, JobRecord},
 };
@@ -205,7 +206,7 @@ async fn make(
     let (services, runtime) = (state.services.clone(), Handle::current());
     let exported = spawn_blocking(move || {
         let read = || services.read(&runtime, source);
-        (services.export)(SceneSource { digest: source, read: &read }, format, &cameras)
+        services.engine.export(SceneSource { digest: source, read: &read }, format, &cameras)
     });
     let exported = exported.await;
     let exported = exported??;

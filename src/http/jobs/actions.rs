@@ -1,5 +1,7 @@
 //! Actions on an existing job: cancel, retry, delete.
 
+use std::sync::Arc;
+
 use axum::{
     body::Body,
     extract::State,
@@ -125,8 +127,8 @@ pub(crate) async fn delete(
         }
     }
     tracing::info!(job = %id, "job {id} is deleted");
-    let forget = state.services.forget.clone();
-    spawn_blocking(move || forget(id)).await?;
+    let workers = Arc::clone(&state.services.workers);
+    spawn_blocking(move || workers.forget(id)).await?;
     Ok(StatusCode::NO_CONTENT)
 }
 

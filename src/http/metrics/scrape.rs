@@ -122,10 +122,10 @@ fn attempts(registry: &mut Registry, figures: &StoreStats) {
 }
 
 fn machine(registry: &mut Registry, state: &AppState, figures: &StoreStats) {
-    let workers = (state.services.workers)();
+    let workers = state.services.workers.counts();
     let counts = [("expected", workers.expected as f64), ("alive", workers.alive as f64)];
     gauges(registry, "workers", "Worker processes that this service keeps", counts.into_iter());
-    if let Some(viewers) = (state.services.viewers)() {
+    if let Some(viewers) = state.services.engine.viewers() {
         gauge(registry, "viewers", "Viewers that are alive", viewers as f64);
     }
     gauge(registry, "blobs", "Stored blobs", figures.blobs as f64);

@@ -207,36 +207,77 @@ impl Drop for Reservation {
 
 #[cfg(test)]
 mod tests {
-    use std::sync::Arc;
+    use std::{path::Path, sync::Arc};
 
     use tempfile::TempDir;
     use tokio_util::sync::CancellationToken;
 
     use super::*;
     use crate::{
-        domain::{Problem, ProblemType, SystemClock, SystemRandom},
-        http::{Services, WorkerCounts, config::RequestLimits},
+        domain::{
+            DatasetSummary, Digest, ExportedScene, JobId, NamedCamera, Problem, ProblemType, SceneFormat,
+            SystemClock, SystemRandom, WorkerCounts, Workers,
+        },
+        engine::{SceneEngine, SceneSource},
+        http::{Services, config::RequestLimits},
+        render::{RenderViews, views::Viewable},
         store::{Blobs, QueuePolicy, SqlStore},
     };
+
+    /// Neither an engine nor workers.
+    struct Neither;
+
+    fn never<T>() -> Result<T, Problem> {
+        Err(Problem::new(ProblemType::Internal, "not of this test"))
+    }
+
+    impl SceneEngine for Neither {
+        fn check(&self, _: &Path) -> Result<DatasetSummary, Problem> {
+            never()
+        }
+
+        fn load(&self, _: &[u8]) -> Result<Viewable, Problem> {
+            never()
+        }
+
+        fn renderer(&self, _: Digest) -> Result<Arc<dyn RenderViews>, Problem> {
+            never()
+        }
+
+        fn export(
+            &self,
+            _: SceneSource<'_>,
+            _: SceneFormat,
+            _: &[NamedCamera],
+        ) -> Result<ExportedScene, Problem> {
+            never()
+        }
+
+        fn viewers(&self) -> Option<usize> {
+            None
+        }
+    }
+
+    impl Workers for Neither {
+        fn counts(&self) -> WorkerCounts {
+            WorkerCounts { expected: 0, alive: 0 }
+        }
+
+        fn forget(&self, _: JobId) {}
+    }
 
     async fn state() -> (TempDir, AppState) {
         let folder = tempfile::tempdir().expect("a folder");
         let clock = Arc::new(SystemClock);
         let path = folder.path().join("tcgs.db");
         let store = SqlStore::open(&path, clock.clone(), QueuePolicy::default());
-        let never = || Problem::new(ProblemType::Internal, "not of this test");
         let services = Services {
             store: Arc::new(store.await.expect("a database")),
             blobs: Blobs::open(folder.path()).expect("a blob store"),
             clock,
             entropy: Arc::new(SystemRandom),
-            check: Arc::new(move |_| Err(never())),
-            load: Arc::new(move |_| Err(never())),
-            renderer: Arc::new(move |_| Err(never())),
-            export: Arc::new(move |_, _, _| Err(never())),
-            forget: Arc::new(|_| {}),
-            workers: Arc::new(|| WorkerCounts { expected: 0, alive: 0 }),
-            viewers: Arc::new(|| None),
+            engine: Arc::new(Neither),
+            workers: Arc::new(Neither),
         };
         let limits = RequestLimits { min_free_space: 1, ..RequestLimits::default() };
         (folder, AppState::new(services, limits, CancellationToken::new()))

@@ -139,7 +139,7 @@ pub(crate) async fn readyz(State(state): State<AppState>) -> ApiResult {
         problem.checks = checks;
         return Err(problem.into());
     }
-    let workers = (state.services.workers)();
+    let workers = state.services.workers.counts();
     let body = json!({
         "status": "ready",
         "checks": checks,

@@ -214,7 +214,7 @@ fn frames_of_any_size(
     kind: PictureKind,
 ) -> ApiResult<Vec<Frame>> {
     let artifact = file_of(record, lambda)?.blob.digest;
-    let renderer = (state.services.renderer)(artifact)?;
+    let renderer = state.services.engine.renderer(artifact)?;
     let spec = |&camera| FrameSpec { artifact, camera, kind };
     Ok(cameras.iter().map(spec).map(|spec| Frame { spec, renderer: Arc::clone(&renderer) }).collect())
 }

@@ -183,7 +183,8 @@ fn render(services: &Services, runtime: &Handle, frame: &Frame) -> Result<(Rende
     let loaded = std::cell::Cell::new(Duration::ZERO);
     let load = || -> Result<Viewable, Problem> {
         let began = Instant::now();
-        let viewable = services.read(runtime, spec.artifact).and_then(|content| (services.load)(&content));
+        let viewable =
+            services.read(runtime, spec.artifact).and_then(|content| services.engine.load(&content));
         loaded.set(loaded.get() + began.elapsed());
         viewable
     };

@@ -1,6 +1,6 @@
 //! Jobs of scenes, with priority and deadline: filtered, retried and deleted.
 
-use std::sync::{Arc, Mutex};
+use std::sync::Arc;
 
 use jiff::SignedDuration;
 use serde_json::{Value, json};
@@ -13,6 +13,7 @@ use uuid::Uuid;
 use crate::support::{
     contract::Coverage,
     eventually::{eventually, within},
+    fakes::FakeWorkers,
     faults::Failing,
     server::{Server, Setup},
 };
@@ -299,7 +300,6 @@ pub(super) async fn a_failed_or_cancelled_job_is_retried_as_a_new_one(coverage: 
 
 pub(super) async fn a_job_that_has_ended_is_deleted_with_its_files(coverage: Coverage) {
     let server = Server::start(&coverage).await;
-    let forgotten = Arc::new(Mutex::new(Vec::new()));
     let job = server.succeeded().await;
     let tag = server.get(&job).await.expect(200).header("etag").to_owned();
     let delete = |path: String, tag: Option<String>| {
@@ -341,11 +341,9 @@ pub(super) async fn a_job_that_has_ended_is_deleted_with_its_files(coverage: Cov
     assert_ne!(after.header("etag"), tag, "what is shown has changed");
 
     // The same over a server that tells what it was asked to forget.
+    let workers = Arc::new(FakeWorkers::default());
     let state = {
-        let forgotten = Arc::clone(&forgotten);
-        let forget: tcgs::http::ForgetJob =
-            Arc::new(move |job| forgotten.lock().expect("not poisoned").push(job));
-        let services = tcgs::http::Services { forget, ..server.services.clone() };
+        let services = tcgs::http::Services { workers: workers.clone(), ..server.services.clone() };
         tcgs::http::AppState::new(services, Setup::default().limits, server.shutdown.clone())
     };
     use tower::ServiceExt as _;
@@ -354,6 +352,6 @@ pub(super) async fn a_job_that_has_ended_is_deleted_with_its_files(coverage: Cov
     let answer = tcgs::http::router(state).oneshot(request).await.expect("an answer");
     assert_eq!(answer.status(), 204);
     let forgotten: Vec<String> =
-        forgotten.lock().expect("not poisoned").iter().map(|job| format!("/v1/jobs/{job}")).collect();
+        workers.forgotten.lock().expect("not poisoned").iter().map(|job| format!("/v1/jobs/{job}")).collect();
     assert_eq!(forgotten, [retry]);
 }

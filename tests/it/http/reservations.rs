@@ -13,7 +13,7 @@ use object_store::ObjectStore;
 use serde_json::json;
 use tcgs::{
     domain::{ProjectLimits, Scope},
-    http::{DatasetCheck, config::RequestLimits},
+    http::config::RequestLimits,
 };
 use tokio::{
     io::{AsyncReadExt as _, AsyncWriteExt as _},
@@ -25,7 +25,7 @@ use crate::support::{
     bucket::S3Server,
     contract::Coverage,
     eventually::eventually,
-    fakes::{self, Gate},
+    fakes::{self, DatasetCheck, Gate},
     faults::Failing,
     server::{Answer, Server, Setup, TestKey},
 };

@@ -15,10 +15,11 @@ use tcgs::{
     domain::{
         AnchorScene, Background, ByteCounts, Camera, CancelFlag, CodingEfficiency, CodingStages, Conventions,
         CurvePoint, DatasetSummary, Digest, ExportFidelity, ExportedScene, HeldOut, HeldOutView, Image,
-        Intrinsics, JobMetrics, Lattice, Layout, LpipsNetwork, Mlp, NamedCamera, NearPlane, Phase,
+        Intrinsics, JobId, JobMetrics, Lattice, Layout, LpipsNetwork, Mlp, NamedCamera, NearPlane, Phase,
         PhaseSeconds, Pose, Problem, ProblemType, Progress, RenderNetworks, RenderingError, Scene,
-        SceneFormat, SceneFrame, SceneScale, Scores, Split, TrainOptions, ViewScore,
+        SceneFormat, SceneFrame, SceneScale, Scores, Split, TrainOptions, ViewScore, WorkerCounts, Workers,
     },
+    engine::{SceneEngine, SceneSource},
     pipeline::{Checkpoints, CurveFile, JobError, JobOutput, RunJob},
     render::{
         RenderViews,
@@ -353,29 +354,74 @@ pub struct FakeExporter {
     pub made: std::sync::atomic::AtomicUsize,
 }
 
-/// The renderer of every scene.
-pub fn only(renderer: &FakeRenderer) -> tcgs::http::RendererOf {
-    let renderer: Arc<dyn RenderViews> = Arc::new(renderer.clone());
-    Arc::new(move |_| Ok(Arc::clone(&renderer)))
-}
+/// Checks datasets.
+pub type DatasetCheck = Arc<dyn Fn(&Path) -> Result<DatasetSummary, Problem> + Send + Sync>;
 
 /// What a service is given.
-pub fn exporter(fake: &Arc<FakeExporter>) -> tcgs::http::SceneExporter {
-    let fake = Arc::clone(fake);
-    Arc::new(move |source, format, cameras| {
+pub struct FakeEngine {
+    pub check: DatasetCheck,
+    pub renderer: FakeRenderer,
+    pub exporter: Arc<FakeExporter>,
+}
+
+impl Default for FakeEngine {
+    fn default() -> Self {
+        Self { check: Arc::new(check), renderer: FakeRenderer::default(), exporter: Arc::default() }
+    }
+}
+
+impl SceneEngine for FakeEngine {
+    fn check(&self, archive: &Path) -> Result<DatasetSummary, Problem> {
+        (self.check)(archive)
+    }
+
+    fn load(&self, file: &[u8]) -> Result<Viewable, Problem> {
+        load(file)
+    }
+
+    fn renderer(&self, _: Digest) -> Result<Arc<dyn RenderViews>, Problem> {
+        Ok(Arc::new(self.renderer.clone()))
+    }
+
+    fn export(
+        &self,
+        source: SceneSource<'_>,
+        format: SceneFormat,
+        cameras: &[NamedCamera],
+    ) -> Result<ExportedScene, Problem> {
         let file = (source.read)()?;
         if file == curve_file(1) {
-            fake.gate.pass();
+            self.exporter.gate.pass();
         }
         if file == curve_file(2) {
             let detail = "as the test wants it";
             return Err(Problem::new(ProblemType::NotExportable, detail));
         }
         assert!(file != curve_file(3), "as the test wants it");
-        fake.made.fetch_add(1, std::sync::atomic::Ordering::SeqCst);
+        self.exporter.made.fetch_add(1, Ordering::SeqCst);
         let trained = cameras.iter().filter(|camera| camera.split == Split::Train).count();
         let text = format!("{} from {trained} cameras of {} bytes", format.name(), file.len());
         let fidelity = (format == SceneFormat::Ply).then_some(ExportFidelity { psnr: 41.256, views: 2 });
         Ok(ExportedScene { bytes: text.into_bytes(), gaussians: 5, sh_degree: 3, fidelity })
-    })
+    }
+
+    fn viewers(&self) -> Option<usize> {
+        None
+    }
+}
+
+/// One live worker, and the jobs that it was asked to forget.
+#[derive(Debug, Default)]
+pub struct FakeWorkers {
+    pub forgotten: Mutex<Vec<JobId>>,
+}
+
+impl Workers for FakeWorkers {
+    fn counts(&self) -> WorkerCounts {
+        WorkerCounts { expected: 1, alive: 1 }
+    }
+
+    fn forget(&self, job: JobId) {
+        self.forgotten.lock().expect("not poisoned").push(job);
+    }
 }

@@ -8,7 +8,7 @@ use reqwest::{RequestBuilder, header::HeaderMap};
 use serde_json::Value;
 use tcgs::{
     domain::{Clock, DatasetId, KeyId, ProjectId, ProjectLimits, Scope, SystemClock, SystemRandom},
-    http::{self, DatasetCheck, HttpConfig, Services, WorkerCounts, config::RequestLimits},
+    http::{self, HttpConfig, Services, config::RequestLimits},
     store::{
         Blobs, DatabaseLocation, DatasetRecord, KeyProject, KeyRequest, Keys as _, NewKey, QueuePolicy,
         SqlStore, Store,
@@ -23,7 +23,7 @@ use uuid::Uuid;
 use super::{
     contract::Coverage,
     eventually::{PATIENCE, eventually},
-    fakes::{self, FakeExporter, FakeRenderer, FakeRunner},
+    fakes::{self, DatasetCheck, FakeEngine, FakeExporter, FakeRenderer, FakeRunner, FakeWorkers},
     faults::FaultStore,
     sse::Reader,
 };
@@ -192,13 +192,12 @@ impl Server {
             blobs: blobs.clone(),
             clock,
             entropy: Arc::new(SystemRandom),
-            check: setup.check,
-            load: Arc::new(fakes::load),
-            renderer: fakes::only(&renderer),
-            export: fakes::exporter(&exporter),
-            forget: Arc::new(|_| {}),
-            viewers: Arc::new(|| None),
-            workers: Arc::new(|| WorkerCounts { expected: 1, alive: 1 }),
+            engine: Arc::new(FakeEngine {
+                check: setup.check,
+                renderer: renderer.clone(),
+                exporter: Arc::clone(&exporter),
+            }),
+            workers: Arc::new(FakeWorkers::default()),
         };
         let shutdown = CancellationToken::new();
         if setup.worker {

@@ -10,14 +10,14 @@ use std::{
 
 use serde_json::{Value, json};
 use tcgs::{
-    domain::{Clock as _, JobState, SystemClock},
+    domain::{Clock as _, JobState, SystemClock, Workers as _},
     store::{
         AttemptOutcome, Blobs, DATABASE, NewJob, RetryRequest, SqlStore, Store, WorkerDeath,
         garbage::{GarbagePolicy, collect},
     },
     worker::{
         self, WorkerConfig, WorkerError,
-        supervise::{LiveWorkers, SuperviseConfig, supervise},
+        supervise::{LiveWorkers, SuperviseConfig, SupervisedWorkers, supervise},
     },
 };
 use tempfile::TempDir;
@@ -224,9 +224,10 @@ async fn a_retry_resumes_from_the_checkpoint_of_the_retried_job() {
     let second = repeat(true).await;
     fixture.reaches(second, JobState::Failed).await;
     assert!(!folder(second).exists(), "there is one checkpoint, and the first has it");
-    worker::forget_checkpoints(&root, adopting);
+    let workers = SupervisedWorkers::new(LiveWorkers::default(), root.clone());
+    workers.forget(adopting);
     assert!(!folder(adopting).exists());
-    worker::forget_checkpoints(&root, adopting);
+    workers.forget(adopting);
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
@@ -631,22 +632,14 @@ async fn a_program_that_does_not_start_is_retried_and_does_not_end_the_api() {
 
 /// The API as `serve` would wire it, over the fixture's store and a supervisor's live workers.
 fn api(fixture: &Fixture, live_workers: LiveWorkers) -> axum::Router {
-    use tcgs::http::{AppState, Services, WorkerCounts};
+    use tcgs::http::{AppState, Services};
     let services = Services {
         store: Arc::clone(&fixture.store),
         blobs: fixture.blobs.clone(),
         clock: Arc::new(SystemClock),
         entropy: Arc::new(tcgs::domain::SystemRandom),
-        check: Arc::new(crate::support::fakes::check),
-        load: Arc::new(crate::support::fakes::load),
-        renderer: crate::support::fakes::only(&Default::default()),
-        export: crate::support::fakes::exporter(&Arc::default()),
-        forget: Arc::new(|_| {}),
-        viewers: Arc::new(|| None),
-        workers: Arc::new(move || WorkerCounts {
-            expected: live_workers.expected(),
-            alive: live_workers.pids().len(),
-        }),
+        engine: Arc::new(crate::support::fakes::FakeEngine::default()),
+        workers: Arc::new(SupervisedWorkers::new(live_workers, fixture.data.path().join("checkpoints"))),
     };
     tcgs::http::router(AppState::new(services, Default::default(), CancellationToken::new()))
 }

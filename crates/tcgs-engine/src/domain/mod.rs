@@ -2,9 +2,11 @@
 
 mod causes;
 pub mod clock;
+mod exported_scene;
 pub mod failure_point;
 
 pub use causes::{causes, is_no_space};
 pub use clock::{Clock, ManualClock, SystemClock};
+pub use exported_scene::{ExportFidelity, ExportedScene};
 pub use failure_point::FailurePoint;
 pub use tcgs_codec::domain::*;

@@ -37,7 +37,7 @@ pub(super) fn measure(
     script: Option<&Path>,
     output: &JobOutput,
     dataset: &Dataset,
-    open: &dyn Fn(wiring::SceneFile) -> Result<wiring::Renderer, Problem>,
+    open: &dyn Fn(wiring::SceneFile) -> Result<wiring::SceneViews, Problem>,
 ) -> Result<Vec<ExternalFile>, CliError> {
     let Some(script) = script else { return Ok(Vec::new()) };
     let folder = tempfile::tempdir().map_err(|fault| CliError::unwritable(&std::env::temp_dir(), &fault))?;

@@ -225,7 +225,7 @@ impl Measured {
         }
         let file = wiring::read(&output.file)?;
         let dataset = wiring::load_dataset(dataset)?;
-        let renderer = wiring::Renderer::open(file.clone(), adapter)?;
+        let renderer = wiring::SceneViews::open(file.clone(), adapter)?;
         let background = output.metrics.background;
         // The first pass makes kernels and buffers.
         let mut render_seconds = None;
@@ -240,7 +240,7 @@ impl Measured {
             .collect::<Result<_, _>>()?;
         let is_plain = matches!(file.scene, tcgs::domain::Scene::Gaussians(_));
         let script = runner.external_formats.as_deref().filter(|_| is_plain);
-        let open = |file| wiring::Renderer::open(file, adapter);
+        let open = |file| wiring::SceneViews::open(file, adapter);
         let external_formats = external_formats::measure(script, output, &dataset, &open);
         // Hours of training are not lost because another program is missing.
         let external_formats = external_formats.unwrap_or_else(|failure| {
@@ -253,7 +253,7 @@ impl Measured {
 
 /// Exports a scene and measures the result on the held-out views.
 fn export(
-    renderer: &wiring::Renderer,
+    renderer: &wiring::SceneViews,
     file: &wiring::SceneFile,
     dataset: &Dataset,
     format: SceneFormat,

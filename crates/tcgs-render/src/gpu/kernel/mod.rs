@@ -197,6 +197,14 @@ mod tests {
         }
     }
 
+    fn sources_of_all_crates(into: &mut Vec<PathBuf>) {
+        let crates =
+            fs::read_dir(Path::new(env!("CARGO_MANIFEST_DIR")).join("..")).expect("a readable folder");
+        for member in crates {
+            files(&member.expect("an entry").path().join("src"), "rs", into);
+        }
+    }
+
     pub(super) fn kernels() -> Vec<(&'static str, &'static str)> {
         let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("shaders");
         let mut kernels = Vec::new();
@@ -292,7 +300,7 @@ mod tests {
     #[test]
     fn every_kernel_has_a_twin_of_its_name() {
         let mut sources = Vec::new();
-        files(&Path::new(env!("CARGO_MANIFEST_DIR")).join(".."), "rs", &mut sources);
+        sources_of_all_crates(&mut sources);
         sources.retain(|path| {
             path.components().any(|part| part.as_os_str().to_string_lossy().starts_with("twin"))
         });
@@ -309,7 +317,7 @@ mod tests {
     fn every_kernel_is_used_by_one_source_and_every_shared_file_is_listed() {
         let root = Path::new(env!("CARGO_MANIFEST_DIR"));
         let mut sources = Vec::new();
-        files(&root.join(".."), "rs", &mut sources);
+        sources_of_all_crates(&mut sources);
         let mut uses: BTreeMap<String, usize> = BTreeMap::new();
         for source in sources {
             let text = fs::read_to_string(source).expect("readable");

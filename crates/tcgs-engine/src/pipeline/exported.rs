@@ -2,8 +2,7 @@
 
 use std::time::Instant;
 
-use serde::Serialize;
-use tcgs::{
+use crate::{
     domain::{
         Background, Camera, ExportFidelity, GaussianScene, Image, NearPlane, Problem, ProblemType, Scene,
         SceneFormat, SceneFrame, harmonics, spread::spread,
@@ -14,10 +13,13 @@ use tcgs::{
         spz::{Packed, SpzVersion, to_spz},
         world::{Origin, Rounding, in_world_units, rounding},
     },
-    pipeline::scene_file,
 };
+use serde::Serialize;
 
-use super::{Renderer, SceneFile};
+use super::{
+    scene_file::{self, SceneFile},
+    scene_views::SceneViews,
+};
 
 /// Cameras on the sphere for baking a scene without training cameras.
 const SPHERE_VIEWS: usize = 96;
@@ -34,79 +36,82 @@ const FIDELITY_SIDE: u32 = 256;
 
 /// What an anchor scene was baked from.
 #[derive(Debug, Serialize)]
-pub(crate) struct Baking {
+pub struct Baking {
     /// "training views" or "sphere".
-    pub(crate) from: &'static str,
+    pub from: &'static str,
     /// How many.
-    pub(crate) views: usize,
+    pub views: usize,
     /// Unmasked offsets without a Gaussian visible in any of them.
-    pub(crate) unseen: usize,
+    pub unseen: usize,
     /// How long it took.
-    pub(crate) seconds: f64,
+    pub seconds: f64,
 }
 
 /// How a `.spz` file stores its values.
 #[derive(Debug, Serialize)]
-pub(crate) struct Packing {
+pub struct Packing {
     /// Of the format.
-    pub(crate) version: u32,
+    pub version: u32,
     /// Fractional bits of positions.
-    pub(crate) fractional_bits: u8,
+    pub fractional_bits: u8,
     /// Values clamped to the range.
-    pub(crate) clamped: usize,
+    pub clamped: usize,
     /// Gaussians left out because they are invisible.
-    pub(crate) left_out: usize,
+    pub left_out: usize,
 }
 
 /// A file in another format.
 #[derive(Debug)]
-pub(crate) struct Exported {
+pub struct Exported {
     /// The file.
-    pub(crate) bytes: Vec<u8>,
+    pub bytes: Vec<u8>,
     /// How many Gaussians it has.
-    pub(crate) gaussians: usize,
+    pub gaussians: usize,
     /// Highest degree of its spherical harmonics.
-    pub(crate) degree: u8,
+    pub degree: u8,
     /// How anchors became Gaussians.
-    pub(crate) baking: Option<Baking>,
+    pub baking: Option<Baking>,
     /// How Gaussians became integers.
-    pub(crate) packing: Option<Packing>,
+    pub packing: Option<Packing>,
     /// Where its coordinates are in the world, which not every format states.
-    pub(crate) place: Place,
+    pub place: Place,
     /// Its near plane, likewise.
     near: NearPlane,
 }
 
 /// Where the coordinates of an exported file are in the world.
 #[derive(Debug, Clone, Copy, Serialize)]
-pub(crate) struct Place {
+pub struct Place {
     /// World coordinates of the file's origin: zero unless the scene is far out.
-    pub(crate) offset: [f64; 3],
+    pub offset: [f64; 3],
     /// What world coordinates lose in single precision; null for a scene that is not far out.
-    pub(crate) rounding: Option<Rounding>,
+    pub rounding: Option<Rounding>,
 }
 
 /// How much the exported file differs from its source.
 #[derive(Debug, Serialize)]
-pub(crate) struct Quality {
+pub struct Quality {
     /// "held-out views" or "sphere".
-    pub(crate) from: &'static str,
+    pub from: &'static str,
     /// How many.
-    pub(crate) views: usize,
+    pub views: usize,
     /// Mean PSNR of its pictures against the source's, in dB.
-    pub(crate) psnr_to_source: f64,
+    pub psnr_to_source: f64,
     /// Mean PSNR of the source's pictures against the photographs.
-    pub(crate) psnr_source: Option<f64>,
+    pub psnr_source: Option<f64>,
     /// Mean PSNR of its pictures against the photographs.
-    pub(crate) psnr: Option<f64>,
+    pub psnr: Option<f64>,
     /// The difference of the two.
-    pub(crate) psnr_lost: Option<f64>,
+    pub psnr_lost: Option<f64>,
     /// Adapter and driver.
-    pub(crate) adapter: String,
+    pub adapter: String,
 }
 
 /// The file of a scene as plain Gaussians; anchors are baked from `cameras`, or from a sphere around them.
-pub(crate) fn export(
+///
+/// # Errors
+/// 422 for a scene that the format cannot hold.
+pub fn export(
     file: &SceneFile,
     format: SceneFormat,
     degree: u8,
@@ -164,8 +169,11 @@ pub(crate) fn export(
 
 /// Renders `source` and `exported`, as read back from its bytes, from the same cameras: those of `photographs`, which must be over
 /// the source's background, or without any from a sphere around the scene.
-pub(crate) fn compare(
-    source: &Renderer,
+///
+/// # Errors
+/// Faults of the device.
+pub fn compare(
+    source: &SceneViews,
     exported: &Exported,
     background: Background,
     photographs: Option<&[(String, Camera, Image)]>,
@@ -204,8 +212,11 @@ pub(crate) fn compare(
 }
 
 /// PSNR of an export against its source in small pictures from a few of `cameras`; `None` without cameras.
-pub(super) fn fidelity(
-    source: &Renderer,
+///
+/// # Errors
+/// Faults of the device.
+pub fn fidelity(
+    source: &SceneViews,
     exported: &Exported,
     cameras: &[Camera],
 ) -> Result<Option<ExportFidelity>, Problem> {
@@ -221,10 +232,10 @@ pub(super) fn fidelity(
 /// An exported file's scene, rendered on the source's `background`, at its place and from its near plane, which not every format
 /// stores.
 fn exported_beside(
-    source: &Renderer,
+    source: &SceneViews,
     exported: &Exported,
     background: Background,
-) -> Result<Renderer, Problem> {
+) -> Result<SceneViews, Problem> {
     let mut file = scene_file::read(&exported.bytes)?;
     file.background = background;
     if let Scene::Gaussians(scene) = &mut file.scene {
@@ -242,7 +253,7 @@ struct Pair {
     psnr: f64,
 }
 
-fn pair(source: &Renderer, exported: &Renderer, camera: &Camera) -> Result<Pair, Problem> {
+fn pair(source: &SceneViews, exported: &SceneViews, camera: &Camera) -> Result<Pair, Problem> {
     let (source, exported) = (source.view(camera)?, exported.view(camera)?);
     let psnr = psnr(&source, &exported).ok_or_else(different)?;
     Ok(Pair { source, exported, psnr })
@@ -288,7 +299,7 @@ fn not_exportable(fault: impl std::fmt::Display) -> Problem {
 
 #[cfg(test)]
 mod tests {
-    use tcgs::domain::{Intrinsics, Pose};
+    use crate::domain::{Intrinsics, Pose};
 
     use super::*;
 

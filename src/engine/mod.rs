@@ -1,0 +1,68 @@
+//! What the service asks of the engine: checks of datasets, and views and exports of finished scenes. [`LocalEngine`] works in this
+//! process, [`crate::viewers::RemoteEngine`] has viewer processes render.
+
+mod local;
+
+use std::{path::Path, sync::Arc};
+
+use bytes::Bytes;
+pub use local::LocalEngine;
+
+use crate::{
+    domain::{DatasetSummary, Digest, ExportedScene, NamedCamera, Problem, SceneFormat},
+    pipeline::scene_file,
+    render::{RenderViews, views::Viewable},
+};
+
+/// The file of a finished scene.
+#[derive(Clone, Copy)]
+pub struct SceneSource<'a> {
+    /// Its hash.
+    pub digest: Digest,
+    /// Reads it; blocks.
+    pub read: &'a dyn Fn() -> Result<Bytes, Problem>,
+}
+
+/// The engine as the service sees it. Every method but [`SceneEngine::viewers`] may block for as long as its work takes.
+pub trait SceneEngine: Send + Sync {
+    /// Checks a dataset archive before a scene or job is created from it.
+    ///
+    /// # Errors
+    /// What is wrong with it, and where.
+    fn check(&self, archive: &Path) -> Result<DatasetSummary, Problem>;
+
+    /// Reads a finished scene's file.
+    ///
+    /// # Errors
+    /// What is wrong with it.
+    fn load(&self, file: &[u8]) -> Result<Viewable, Problem>;
+
+    /// The renderer of the scene in a file.
+    ///
+    /// # Errors
+    /// If nothing renders now.
+    fn renderer(&self, file: Digest) -> Result<Arc<dyn RenderViews>, Problem>;
+
+    /// Exports a finished scene to another format and measures the export's fidelity from the dataset's cameras.
+    ///
+    /// # Errors
+    /// 422 for a scene that the format cannot hold; faults of the device.
+    fn export(
+        &self,
+        source: SceneSource<'_>,
+        format: SceneFormat,
+        cameras: &[NamedCamera],
+    ) -> Result<ExportedScene, Problem>;
+
+    /// How many viewer processes are alive; `None` if this process renders by itself.
+    fn viewers(&self) -> Option<usize>;
+}
+
+/// Reads a finished scene's file of any format.
+///
+/// # Errors
+/// What is wrong with it.
+pub fn read_scene(file: &[u8]) -> Result<Viewable, Problem> {
+    let file = scene_file::read(file)?;
+    Ok(Viewable { scene: file.scene, background: file.background })
+}
