@@ -77,11 +77,11 @@ fn train_psnr(metrics: &JobMetrics) -> f64 {
 #[test]
 fn the_file_is_no_larger_than_promised_and_hardly_smaller() {
     assert_eq!(FREE.metrics.byte_budget, None);
-    assert_psnr("without a target", train_psnr(&FREE.metrics), 17.58);
-    assert_bytes("without a target", FREE.file.len() as u64, 14_934);
-    assert_bytes("the smallest", *SMALLEST, 5_092);
+    assert_psnr("without a target", train_psnr(&FREE.metrics), 17.62);
+    assert_bytes("without a target", FREE.file.len() as u64, 15_883);
+    assert_bytes("the smallest", *SMALLEST, 5_083);
     // Each target has its own training, and such a short run has not converged to a tenth of a dB.
-    for (percent, psnr) in [(90, 17.55), (60, 17.56), (30, 12.81)] {
+    for (percent, psnr) in [(90, 17.61), (60, 17.65), (30, 16.72)] {
         let limit = share(percent);
         let output = run(&with_limit(limit)).expect("fits");
         let bytes = output.file.len() as u64;

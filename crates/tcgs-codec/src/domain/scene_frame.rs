@@ -10,9 +10,10 @@ use serde::{Deserialize, Serialize};
 
 use super::{Camera, Pose};
 
-/// Distance of the cameras of a trained scene from its points in the scene's frame. A power of two, so that a dataset whose lengths are
-/// multiplied by one has the same numbers in its frame.
-pub const TYPICAL_DISTANCE: f64 = 4.0;
+/// Distance of the cameras of a trained scene from its points in the scene's frame. Constants of training are lengths in this unit: the
+/// weight of volumes, rates of offsets, the distance that networks see. They were found on sets whose cameras are 4 to 9 world units
+/// away (docs/ANALYSIS.md, "The unit of a scene's frame").
+pub const TYPICAL_DISTANCE: f64 = 5.0;
 
 /// Distance of a scene from the world's origin, in typical distances, beyond which single precision in world coordinates would move
 /// Gaussians by a visible part of a pixel: it rounds there by up to a 30 000th of a typical distance.
