@@ -82,7 +82,7 @@ const EXTERNAL: &[(&str, &[&str])] = &[
     ("ndarray", &["eval"]),
     ("flate2", &["export"]),
     ("zstd", &["export"]),
-    ("toml", &["cli"]),
+    ("toml", &["cli", "report"]),
     ("fs4", &["store"]),
     ("clap", &["cli", "main"]),
     ("indicatif", &["cli"]),
