@@ -145,22 +145,13 @@ install_rust() {
     fi
 }
 
-# Not needed by any other check, so an archive that lacks it fails nothing.
-install_wasm_target() {
-    local target=wasm32-unknown-unknown
-    command -v rustup >/dev/null || return 0
-    [ ! -d "$(rustc --print sysroot)/lib/rustlib/$target" ] || return 0
-    say "installing Rust's target $target"
-    rustup target add "$target" >&2 || say "$target is not available; scripts/decoder.sh skips its WebAssembly check"
-}
-
 install_basics
 install_vulkan
 install_rust
 case ${1:-} in
 --for-tests)
     install_for_tests
-    install_wasm_target
+    scripts/wasm_cargo.sh --install || say "no compiler for WebAssembly; scripts/decoder.sh skips its check"
     ;;
 "") ;;
 *) give_up "unknown argument $1" ;;
