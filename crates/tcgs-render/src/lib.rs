@@ -40,3 +40,8 @@ pub use scene_viewer::SceneViewer;
 pub use views::RenderViews;
 
 use tcgs_codec::domain;
+
+/// The example of the readme compiles.
+#[cfg(doctest)]
+#[doc = include_str!("../README.md")]
+struct Readme;
