@@ -2,7 +2,7 @@
 
 use std::{path::Path, sync::Arc};
 
-use super::{SceneEngine, SceneSource, read_scene};
+use super::{SceneEngine, SceneSource};
 use crate::{
     domain::{Camera, DatasetSummary, Digest, ExportedScene, NamedCamera, Problem, SceneFormat, Split},
     export::world::Origin,
@@ -12,7 +12,7 @@ use crate::{
         scene_file,
         scene_views::SceneViews,
     },
-    render::{RenderViews, views::Viewable},
+    render::RenderViews,
 };
 
 /// Checks datasets, renders and exports in this process.
@@ -32,10 +32,6 @@ impl LocalEngine {
 impl SceneEngine for LocalEngine {
     fn check(&self, archive: &Path) -> Result<DatasetSummary, Problem> {
         self.checker.check(archive)
-    }
-
-    fn load(&self, file: &[u8]) -> Result<Viewable, Problem> {
-        read_scene(file)
     }
 
     fn renderer(&self, _: Digest) -> Result<Arc<dyn RenderViews>, Problem> {

@@ -31,11 +31,14 @@ pub trait SceneEngine: Send + Sync {
     /// What is wrong with it, and where.
     fn check(&self, archive: &Path) -> Result<DatasetSummary, Problem>;
 
-    /// Reads a finished scene's file.
+    /// Reads a finished scene's file of any format.
     ///
     /// # Errors
     /// What is wrong with it.
-    fn load(&self, file: &[u8]) -> Result<Viewable, Problem>;
+    fn load(&self, file: &[u8]) -> Result<Viewable, Problem> {
+        let file = scene_file::read(file)?;
+        Ok(Viewable { scene: file.scene, background: file.background })
+    }
 
     /// The renderer of the scene in a file.
     ///
@@ -56,13 +59,4 @@ pub trait SceneEngine: Send + Sync {
 
     /// How many viewer processes are alive; `None` if this process renders by itself.
     fn viewers(&self) -> Option<usize>;
-}
-
-/// Reads a finished scene's file of any format.
-///
-/// # Errors
-/// What is wrong with it.
-pub fn read_scene(file: &[u8]) -> Result<Viewable, Problem> {
-    let file = scene_file::read(file)?;
-    Ok(Viewable { scene: file.scene, background: file.background })
 }

@@ -8,7 +8,7 @@ use super::{
 };
 use crate::{
     domain::{Camera, DatasetSummary, Digest, ExportedScene, Image, NamedCamera, Problem, SceneFormat},
-    engine::{SceneEngine, SceneSource, read_scene},
+    engine::{SceneEngine, SceneSource},
     ingest::DatasetChecker,
     render::{
         RenderViews,
@@ -33,10 +33,6 @@ impl RemoteEngine {
 impl SceneEngine for RemoteEngine {
     fn check(&self, archive: &Path) -> Result<DatasetSummary, Problem> {
         self.checker.check(archive)
-    }
-
-    fn load(&self, file: &[u8]) -> Result<Viewable, Problem> {
-        read_scene(file)
     }
 
     fn renderer(&self, file: Digest) -> Result<Arc<dyn RenderViews>, Problem> {
