@@ -3,7 +3,8 @@
 // the gradient by alpha, stays zero. A workgroup makes one channel of a tile.
 #import tcgs::ssim::Image
 #import tcgs::ssim_tile::{
-    Line, LANES, HALO, RUNS, FIELD, PITCH, blurred, column_sums, halo_sample, level, place_of, row_run, store_row_sums, work_of,
+    Line, LANES, READERS, HALO, RUNS, FIELD, PITCH, blurred, column_sums, halo_sample, level, place_of, row_run, store_row_sums,
+    work_of,
 }
 
 @group(0) @binding(0) var<uniform> image: Image;
@@ -19,12 +20,17 @@ var<workgroup> fields: array<f32, 3u * FIELD>;
 fn load(origin: vec2u, channel: u32, local: u32) {
     let pixels = image.size.x * image.size.y;
     let field = 3u * (channel - image.channels.x) * pixels;
-    for (var i = local; i < HALO * HALO; i += LANES) {
-        let sample = halo_sample(image, origin, i);
+    let column = local % READERS;
+    for (var row = local / READERS; column < HALO && row < HALO; row += LANES / READERS) {
+        let sample = halo_sample(image, origin, column, row);
         let at = field + sample.pixel;
-        fields[sample.at] = select(0.0, derivatives[at], sample.inside);
-        fields[FIELD + sample.at] = select(0.0, derivatives[at + pixels], sample.inside);
-        fields[2u * FIELD + sample.at] = select(0.0, derivatives[at + 2u * pixels], sample.inside);
+        // All reads come first, so that they are under way together.
+        let by_mean = derivatives[at];
+        let by_squares = derivatives[at + pixels];
+        let by_difference = derivatives[at + 2u * pixels];
+        fields[sample.at] = select(0.0, by_mean, sample.inside);
+        fields[FIELD + sample.at] = select(0.0, by_squares, sample.inside);
+        fields[2u * FIELD + sample.at] = select(0.0, by_difference, sample.inside);
     }
 }
 
@@ -50,18 +56,35 @@ fn sum_rows(local: u32) {
     }
 }
 
-// Sums along a column and writes the gradients of the lane's pixels.
+// Sums along a column and writes the gradients of the lane's pixels. All samples are read before the first gradient is written, so
+// that the reads are under way together.
 fn finish(origin: vec2u, channel: u32, local: u32) {
     let first = place_of(local);
     let sums = column_sums(first.x, first.y);
+    let place = origin + first;
+    if any(place >= image.size.xy) {
+        return;
+    }
+    let pixels = (place.y + vec4u(0u, 1u, 2u, 3u)) * image.size.x + place.x;
+    let held = min(pixels, vec4u(image.size.x * image.size.y - 1u));
+    let x = vec4f(
+        render[4u * held.x + channel],
+        render[4u * held.y + channel],
+        render[4u * held.z + channel],
+        render[4u * held.w + channel],
+    );
+    let y = vec4f(
+        level(photograph[held.x], channel),
+        level(photograph[held.y], channel),
+        level(photograph[held.z], channel),
+        level(photograph[held.w], channel),
+    );
+    let difference = x - y;
+    let d_ssim = sums[0] + 2.0 * (x * sums[1] + difference * sums[2]);
+    let gradient = image.weights.x * sign(difference) - image.weights.y * d_ssim;
     for (var k = 0u; k < 4u; k++) {
-        let place = origin + first + vec2u(0u, k);
-        if all(place < image.size.xy) {
-            let pixel = place.y * image.size.x + place.x;
-            let x = render[4u * pixel + channel];
-            let difference = x - level(photograph[pixel], channel);
-            let d_ssim = sums[0][k] + 2.0 * (x * sums[1][k] + difference * sums[2][k]);
-            d_image[4u * pixel + channel] = image.weights.x * sign(difference) - image.weights.y * d_ssim;
+        if place.y + k < image.size.y {
+            d_image[4u * pixels[k] + channel] = gradient[k];
         }
     }
 }

@@ -3,7 +3,7 @@
 // squared error. A workgroup makes one channel of a tile.
 #import tcgs::ssim::{Image, REACH, similarity, total}
 #import tcgs::ssim_tile::{
-    Line, LANES, TILE, HALO, RUNS, FIELD, PITCH, blurred, column_sums, halo_sample, level, middle, place_of, row_run,
+    Line, LANES, READERS, TILE, HALO, RUNS, FIELD, PITCH, blurred, column_sums, halo_sample, level, middle, place_of, row_run,
     store_row_sums, work_of,
 }
 
@@ -21,10 +21,13 @@ var<workgroup> samples: array<f32, 2u * FIELD>;
 var<workgroup> shares: array<vec4f, LANES>;
 
 fn load(origin: vec2u, channel: u32, local: u32) {
-    for (var i = local; i < HALO * HALO; i += LANES) {
-        let sample = halo_sample(image, origin, i);
-        samples[sample.at] = select(0.0, render[4u * sample.pixel + channel], sample.inside);
-        samples[FIELD + sample.at] = select(0.0, level(photograph[sample.pixel], channel), sample.inside);
+    let column = local % READERS;
+    for (var row = local / READERS; column < HALO && row < HALO; row += LANES / READERS) {
+        let sample = halo_sample(image, origin, column, row);
+        let x = render[4u * sample.pixel + channel];
+        let y = level(photograph[sample.pixel], channel);
+        samples[sample.at] = select(0.0, x, sample.inside);
+        samples[FIELD + sample.at] = select(0.0, y, sample.inside);
     }
 }
 

@@ -41,7 +41,10 @@ fn work_of(image: Image, group: vec3u) -> Work {
     return Work(part < image.channels.y, channel, TILE * vec2u(tile - row * across, row), channel * tiles + tile);
 }
 
-// Sample `i` of the tile and its halo.
+// Lanes in a row of the halo's reading, a power of two: neighboring lanes read neighboring pixels, and no lane divides.
+const READERS: u32 = 32u;
+
+// A sample of the tile and its halo.
 struct HaloSample {
     // Its place in a field.
     at: u32,
@@ -50,9 +53,7 @@ struct HaloSample {
     inside: bool,
 }
 
-fn halo_sample(image: Image, origin: vec2u, i: u32) -> HaloSample {
-    let row = i / HALO;
-    let column = i - row * HALO;
+fn halo_sample(image: Image, origin: vec2u, column: u32, row: u32) -> HaloSample {
     let place = vec2i(origin + vec2u(column, row)) - REACH;
     let held = clamp(place, vec2i(0), vec2i(image.size.xy) - 1);
     let pixel = u32(held.y) * image.size.x + u32(held.x);

@@ -240,7 +240,11 @@ fn kernels_match_the_twin_at_every_degree() {
 }
 
 #[test]
-fn both_variants_of_the_kernels_give_the_same_bits() {
+fn both_variants_of_the_kernels_give_the_same_bits_on_a_software_adapter() {
+    // A GPU's compiler may fuse multiplications and additions in one variant and not in the other. There each matches the twin.
+    if !gpu().adapter().is_software() {
+        return println!("a hardware adapter");
+    }
     let bits = |values: &[f32]| values.iter().map(|v| v.to_bits()).collect::<Vec<u32>>();
     for degree in 0..=3 {
         for count in [1, 64, 65, 700] {
