@@ -14,14 +14,14 @@ use crate::{
     model::LayerSpec,
 };
 
-/// Outputs and columns that a workgroup of `shaders/dense.wgsl` computes.
+/// Outputs and columns that a workgroup of `shaders/dense/dense.wgsl` computes.
 const TILE: [usize; 2] = [8, 64];
 
 /// As in `shaders/shared/runs.wgsl`.
 const RUNS: usize = 128;
 const MIN_RUN: usize = 128;
 
-/// Inputs and outputs of the weights whose gradients a workgroup of `shaders/dense_weight_gradient.wgsl` computes.
+/// Inputs and outputs of the weights whose gradients a workgroup of `shaders/dense/dense_weight_gradient.wgsl` computes.
 const GRADIENT_TILE: [usize; 2] = [16, 32];
 
 /// The kernels of dense layers: one set for hardware, one for software adapters that have subgroups.

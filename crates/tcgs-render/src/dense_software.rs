@@ -17,17 +17,17 @@ use crate::{
 /// Lanes of a subgroup that share what they read.
 pub(super) const MIN_LANES: u32 = 8;
 
-/// Most blocks of four inputs that an invocation of `shaders/dense_software.wgsl` holds.
+/// Most blocks of four inputs that an invocation of `shaders/dense/dense_software.wgsl` holds.
 const MAX_BLOCKS: usize = 24;
 
 /// Columns that a workgroup of that kernel computes.
 const COLUMNS: usize = 32;
 
-/// Columns that an invocation of `shaders/dense_weight_gradient_software.wgsl` holds, and outputs of a workgroup.
+/// Columns that an invocation of `shaders/dense/dense_weight_gradient_software.wgsl` holds, and outputs of a workgroup.
 const GRADIENT_BLOCK: u32 = 64;
 const GRADIENT_OUTPUTS: usize = 32;
 
-/// `MODE` of `shaders/dense_software.wgsl` that applies the gate of a ReLU; the others are those of [`Activation`].
+/// `MODE` of `shaders/dense/dense_software.wgsl` that applies the gate of a ReLU; the others are those of [`Activation`].
 const GATE: u32 = 2;
 
 /// What is computed from what: a layer, or its transpose.

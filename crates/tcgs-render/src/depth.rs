@@ -10,7 +10,7 @@ use crate::{
     gpu::{Binding, Buffer, Device, Kernel, Recorder, kernel_source},
 };
 
-/// `Depths` of `shaders/shade_depth.wgsl`.
+/// `Depths` of `shaders/picture/shade_depth.wgsl`.
 #[repr(C)]
 #[derive(Debug, Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]
 struct DepthUniform {

@@ -15,7 +15,7 @@ use crate::gpu::{
 /// Weight of the SSIM part; L1 has the rest.
 const SSIM_WEIGHT: f64 = 0.2;
 
-/// Shares that one partial sum covers on software adapters and on hardware, as in `shaders/sum_losses.wgsl`.
+/// Shares that one partial sum covers on software adapters and on hardware, as in `shaders/loss/sum_losses.wgsl`.
 const SUM_RUN: [usize; 2] = [4096, 512];
 
 /// Columns in a block of a field, and what its rows are a multiple of, as in `shaders/shared/ssim.wgsl`.

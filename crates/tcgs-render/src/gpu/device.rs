@@ -180,6 +180,11 @@ impl Device {
     /// # Errors
     /// [`GpuError::Kernel`] if it does not compose or validate.
     pub fn kernel(&self, source: KernelSource, defs: &[(&str, u32)]) -> Result<Arc<Kernel>, GpuError> {
+        debug_assert!(
+            kernel::table::knows(source.name, defs),
+            "{} has no such definitions: {defs:?}",
+            source.name
+        );
         let mut key = source.name.to_owned();
         for (name, value) in defs {
             key.push_str(&format!(";{name}={value}"));

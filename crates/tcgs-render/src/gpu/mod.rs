@@ -36,7 +36,10 @@ pub use constants::CONSTANT_BYTES;
 pub use device::Device;
 pub use driver_cache::driver_cache;
 pub use error::GpuError;
-pub use kernel::{Kernel, KernelSource, kernel_source};
+pub use kernel::{
+    Kernel, KernelSource, kernel_source,
+    table::{Definitions, KERNELS, KernelEntry, find_kernel},
+};
 pub use plan::Plan;
 pub use plan::planned;
 pub use profile::{Profile, RecordingProfile};

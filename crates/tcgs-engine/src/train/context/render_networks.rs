@@ -15,7 +15,7 @@ use crate::{
 const LEVELS: u32 = 127;
 const BIAS_LEVELS: u32 = 2047;
 
-/// As in `shaders/round_rows.wgsl`.
+/// As in `shaders/context/round_rows.wgsl`.
 const IS_BIAS: u32 = 1 << 31;
 
 /// Rounded parameters on the device.

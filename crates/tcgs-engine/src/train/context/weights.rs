@@ -12,7 +12,7 @@ use crate::gpu::{Buffer, GpuError, Kernel, Plan, Recorder, kernel_source, planne
 /// Largest integer of an up-sampling layer's weights: the codec stores them in eight bits whatever the networks have.
 const UP_LEVELS: usize = 127;
 
-/// A row of weights, those of one output of a layer, as `shaders/round_weights.wgsl` takes it: where it begins, in how many
+/// A row of weights, those of one output of a layer, as `shaders/context/round_weights.wgsl` takes it: where it begins, in how many
 /// blocks it lies, how far from each other, of how many weights, and its levels, or 0 for the networks'.
 type Row = [u32; 5];
 

@@ -1,4 +1,6 @@
-//! Kernels: one `.wgsl` file each, composed with the shared files, validated, and compiled into a pipeline.
+//! Kernels: one `.wgsl` file each, composed with the shared files, validated, and compiled into a pipeline. [`table`] lists them.
+
+pub(super) mod table;
 
 use std::collections::HashMap;
 
@@ -17,14 +19,11 @@ pub struct KernelSource {
     pub text: &'static str,
 }
 
-/// Names the kernel file `shaders/NAME.wgsl`.
+/// The kernel of that name in [`KERNELS`](crate::gpu::KERNELS).
 #[macro_export]
 macro_rules! kernel_source {
     ($name:literal) => {
-        $crate::gpu::KernelSource {
-            name: $name,
-            text: include_str!(concat!(env!("CARGO_MANIFEST_DIR"), "/shaders/", $name, ".wgsl")),
-        }
+        const { $crate::gpu::find_kernel($name) }
     };
 }
 
@@ -184,7 +183,10 @@ mod tests {
         path::{Path, PathBuf},
     };
 
-    use super::*;
+    use super::{
+        table::{KERNELS, KernelEntry},
+        *,
+    };
 
     fn files(folder: &Path, extension: &str, into: &mut Vec<PathBuf>) {
         for entry in fs::read_dir(folder).expect("a readable folder") {
@@ -205,67 +207,14 @@ mod tests {
         }
     }
 
-    pub(super) fn kernels() -> Vec<(&'static str, &'static str)> {
-        let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("shaders");
-        let mut kernels = Vec::new();
-        for entry in fs::read_dir(folder).expect("shaders") {
-            let path = entry.expect("an entry").path();
-            if path.extension().is_some_and(|found| found == "wgsl") {
-                let name = path.file_stem().expect("a name").to_string_lossy().into_owned();
-                let text = fs::read_to_string(&path).expect("readable");
-                kernels.push((&*name.leak(), &*text.leak()));
-            }
-        }
-        kernels
-    }
-
-    /// Definitions of the model that is trained.
-    const SHAPE: &[(&str, u32)] = &[("FEATURES", 32), ("OFFSETS", 10)];
-
-    /// Every set of definitions that a kernel is compiled with, but for the model's shape.
-    pub(super) fn variants(text: &str) -> Vec<Vec<(&'static str, u32)>> {
-        let mut variants = own_variants(text);
-        if text.contains("tcgs::spread") || text.contains("#ifdef SOFTWARE") {
-            let software = KernelVariant::Software.defs();
-            variants.extend(variants.clone().iter().map(|defs| [&defs[..], software].concat()));
-        }
-        variants
-    }
-
-    /// [`variants`] by the kernel's own definitions.
-    fn own_variants(text: &str) -> Vec<Vec<(&'static str, u32)>> {
-        let with = |more: &[(&'static str, u32)]| [SHAPE, more].concat();
-        if text.contains("SUBGROUPS") {
-            let of = |size| vec![("SUBGROUPS", size), ("GRADIENT_LANES", size)];
-            let mut variants: Vec<_> = [8, 16, 32, 64].map(|size| with(&of(size))).to_vec();
-            variants.push(with(&[of(8), vec![("EIGHT_LANES", 1)]].concat()));
-            variants.push(with(&[of(8), vec![("EIGHT_LANES", 1), ("ONE_SUBGROUP", 1)]].concat()));
-            variants.push(with(&[of(32), vec![("ONE_SUBGROUP", 1)]].concat()));
-            variants.push(with(&[("GRADIENT_LANES", 64)]));
-            variants
-        } else if text.contains("#{BLOCKS}") {
-            let of = |blocks| [0, 1, 2].map(|mode| with(&[("BLOCKS", blocks), ("MODE", mode)]));
-            [1, 9, 24].into_iter().flat_map(of).collect()
-        } else if text.contains("#ifdef OPAQUE") {
-            vec![with(&[]), with(&[("OPAQUE", 1)])]
-        } else if text.contains("#{RUN}") {
-            [1, 16].map(|run| with(&[("RUN", run)])).to_vec()
-        } else if text.contains("#{LANES}") {
-            [8, 16, 32, 64].map(|lanes| with(&[("LANES", lanes)])).to_vec()
-        } else if text.contains("tcgs::plain") {
-            (0..=3).map(|degree| with(&[("DEGREE", degree)])).collect()
-        } else {
-            vec![with(&[])]
-        }
-    }
-
     #[test]
     fn every_kernel_validates_and_is_named_as_its_file() {
         let mut faults = Vec::new();
         let mut composer = composer().expect("the shared files");
-        for (name, text) in kernels() {
-            for defs in variants(text) {
-                match compose(&mut composer, KernelSource { name, text }, &defs) {
+        for KernelEntry { source, definitions, .. } in KERNELS {
+            let name = source.name;
+            for defs in definitions.all() {
+                match compose(&mut composer, *source, &defs) {
                     Ok(module) => {
                         let entries: Vec<_> = module.entry_points.iter().map(|e| e.name.clone()).collect();
                         if entries != [name] {
@@ -281,8 +230,7 @@ mod tests {
 
     #[test]
     fn a_kernel_does_not_depend_on_those_composed_before() {
-        let text = include_str!("../../../shaders/spawn_gaussians.wgsl");
-        let source = KernelSource { name: "spawn_gaussians", text };
+        let source = kernel_source!("spawn_gaussians");
         let made = |composer: &mut Composer, features: u32| {
             let defs = [("FEATURES", features), ("OFFSETS", 10)];
             format!("{:?}", compose(composer, source, &defs).expect("composed"))
@@ -305,11 +253,8 @@ mod tests {
             path.components().any(|part| part.as_os_str().to_string_lossy().starts_with("twin"))
         });
         let twins: String = sources.iter().map(|path| fs::read_to_string(path).expect("readable")).collect();
-        let missing: Vec<_> = kernels()
-            .into_iter()
-            .map(|(name, _)| name)
-            .filter(|name| !twins.contains(&format!("pub fn {name}(")))
-            .collect();
+        let names = KERNELS.iter().map(|entry| entry.source.name);
+        let missing: Vec<_> = names.filter(|name| !twins.contains(&format!("pub fn {name}("))).collect();
         assert!(missing.is_empty(), "no twin of {missing:?}");
     }
 
@@ -326,7 +271,8 @@ mod tests {
                 *uses.entry(name.to_owned()).or_default() += 1;
             }
         }
-        let expected: BTreeMap<_, _> = kernels().iter().map(|(name, _)| ((*name).to_owned(), 1)).collect();
+        let expected: BTreeMap<_, _> =
+            KERNELS.iter().map(|entry| (entry.source.name.to_owned(), 1)).collect();
         assert_eq!(uses, expected);
         let mut shared = Vec::new();
         files(&root.join("shaders/shared"), "wgsl", &mut shared);

@@ -12,8 +12,8 @@ use naga::{
 };
 
 use super::{
-    KernelSource, compose, composer,
-    tests::{kernels, variants},
+    compose, composer,
+    table::{KERNELS, KernelEntry},
 };
 use crate::gpu::adapter::STORAGE_BUFFERS_NEEDED;
 
@@ -21,9 +21,10 @@ use crate::gpu::adapter::STORAGE_BUFFERS_NEEDED;
 fn each_kernel(mut check: impl FnMut(&str, &[(&str, u32)], &Module) -> Result<(), String>) {
     let mut composer = composer().expect("the shared files");
     let mut faults = Vec::new();
-    for (name, text) in kernels() {
-        for defs in variants(text) {
-            let checked = compose(&mut composer, KernelSource { name, text }, &defs)
+    for KernelEntry { source, definitions, .. } in KERNELS {
+        let name = source.name;
+        for defs in definitions.all() {
+            let checked = compose(&mut composer, *source, &defs)
                 .map_err(|fault| fault.to_string())
                 .and_then(|module| check(name, &defs, &module));
             faults.extend(checked.err().map(|fault| format!("{name} {defs:?}: {fault}")));
@@ -121,14 +122,12 @@ fn no_function_of_a_kernel_with_subgroups_returns_early() {
 fn shaders() -> Vec<(PathBuf, String)> {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("shaders");
     let mut found = Vec::new();
-    for folder in [root.clone(), root.join("shared")] {
-        for entry in fs::read_dir(folder).expect("shaders") {
+    for folder in fs::read_dir(root).expect("shaders") {
+        for entry in fs::read_dir(folder.expect("a folder").path()).expect("only folders") {
             let path = entry.expect("an entry").path();
-            if path.extension().is_some_and(|extension| extension == "wgsl") {
-                let text = fs::read_to_string(&path).expect("readable");
-                let code = |line: &str| line.split("//").next().unwrap_or_default().to_owned();
-                found.push((path, text.lines().map(code).collect::<Vec<_>>().join("\n")));
-            }
+            let text = fs::read_to_string(&path).expect("readable");
+            let code = |line: &str| line.split("//").next().unwrap_or_default().to_owned();
+            found.push((path, text.lines().map(code).collect::<Vec<_>>().join("\n")));
         }
     }
     assert!(found.len() > 60, "{}", found.len());
