@@ -18,7 +18,7 @@ mod plain;
 mod projection;
 mod raster_buffers;
 mod rasterizer;
-mod scene_renderer;
+mod renderer;
 mod scene_viewer;
 pub mod twin;
 pub mod views;
@@ -35,7 +35,7 @@ pub use packed_image::PackedImage;
 pub use plain::{DeviceGaussians, PlainGaussians, STATISTICS};
 pub use projection::{Projection, RasterSettings, TILE};
 pub use rasterizer::{ForwardPasses, RasterCounts, Rasterizer, sum_slots};
-pub use scene_renderer::{SceneRenderer, Views};
+pub use renderer::{Renderer, Views};
 pub use scene_viewer::SceneViewer;
 pub use views::RenderViews;
 

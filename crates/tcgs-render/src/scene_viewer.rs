@@ -6,7 +6,7 @@ use std::{
 };
 
 use super::{
-    RenderError, RenderViews, Result, SceneRenderer,
+    RenderError, RenderViews, Renderer, Result,
     views::{ScalarImage, ScalarKind, Viewable},
 };
 use crate::{
@@ -33,7 +33,7 @@ pub struct SceneViewer {
 struct ViewerState {
     device: Arc<Device>,
     /// Latest used first.
-    kept: Vec<(Digest, SceneRenderer)>,
+    kept: Vec<(Digest, Renderer)>,
 }
 
 impl SceneViewer {
@@ -133,7 +133,7 @@ impl RenderViews for SceneViewer {
 }
 
 /// A view rendered with a scene's renderer.
-type RenderFn<'a, T> = &'a dyn Fn(&mut SceneRenderer) -> Result<T>;
+type RenderFn<'a, T> = &'a dyn Fn(&mut Renderer) -> Result<T>;
 
 impl ViewerState {
     fn open(choice: &AdapterChoice, budget: u64) -> Result<Self, GpuError> {
@@ -159,7 +159,7 @@ impl ViewerState {
                         Some(viewable) => viewable,
                         None => load()?,
                     };
-                    let made = SceneRenderer::of_scene(&self.device, &viewable.scene, viewable.background);
+                    let made = Renderer::of_scene(&self.device, &viewable.scene, viewable.background);
                     loaded = Some(viewable);
                     made.and_then(|made| draw(renderer.insert(made)))
                 }

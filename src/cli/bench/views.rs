@@ -17,7 +17,7 @@ use tcgs::{
     domain::{Camera, Image, Intrinsics, Problem, ProblemType},
     gpu::Device,
     picture::PictureFormat,
-    render::{RenderError, SceneRenderer},
+    render::{RenderError, Renderer},
 };
 
 use crate::cli::{CliError, Report, adapter::AdapterFlag, camera::CameraFlags, files, wiring};
@@ -117,8 +117,7 @@ pub(crate) fn run(args: &Args) -> Result<Report, CliError> {
     let file = wiring::read(&files::read(&args.file)?)
         .map_err(|problem| problem.in_file(args.file.display().to_string()))?;
     let device = Device::new(&args.adapter.adapter).map_err(Problem::from)?;
-    let mut renderer =
-        SceneRenderer::of_scene(&device, &file.scene, file.background).map_err(Problem::from)?;
+    let mut renderer = Renderer::of_scene(&device, &file.scene, file.background).map_err(Problem::from)?;
     let mut views = Views { adapter: device.adapter_line(), sizes: Vec::new() };
     for size in &args.sizes {
         tracing::info!(%size, "measuring");
@@ -147,7 +146,7 @@ fn at_size(camera: &Camera, Size(width, height): Size) -> Result<Camera, Problem
 
 fn measure(
     device: &Device,
-    renderer: &mut SceneRenderer,
+    renderer: &mut Renderer,
     camera: &Camera,
     limit: Duration,
 ) -> Result<Measured, Problem> {

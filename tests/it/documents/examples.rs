@@ -46,6 +46,40 @@ fn scene(folder: &Path) -> std::path::PathBuf {
     path
 }
 
+/// Runs an example of the folder `examples`, which cargo builds beside the program unless it is told to build this test alone.
+fn example(name: &str, arguments: &[&Path]) -> bool {
+    let program = Path::new(env!("CARGO_BIN_EXE_tcgs")).with_file_name("examples").join(name);
+    if !program.exists() {
+        skip(&format!("the example {name} is not built: cargo test --examples"));
+        return false;
+    }
+    let output = Command::new(program).args(arguments).output().expect("starts");
+    assert!(output.status.success(), "{name}: {}", String::from_utf8_lossy(&output.stderr));
+    true
+}
+
+#[test]
+fn the_examples_in_rust_train_a_scene_and_render_it() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let [file, picture] = ["scene.tcgs", "view.png"].map(|name| folder.path().join(name));
+    if !example("train", &[&scene(folder.path()), &file, Path::new("3")]) {
+        return;
+    }
+    let bytes = fs::read(&file).expect("a file");
+    let decoded = tcgs::codec::decode(&bytes, &tcgs::codec::DecodeLimits::default()).expect("decodes");
+    assert!(decoded.scene.len() > 10, "{} anchors", decoded.scene.len());
+    example("render", &[&file, Path::new("2.6,-2.2,2.4"), Path::new("0.12,0.1,0.32"), &picture]);
+    let picture = fs::read(picture).expect("a picture");
+    // Width and height of a PNG follow its signature and the name of its first chunk.
+    assert_eq!(picture[16..24], [0, 0, 3, 32, 0, 0, 2, 88], "800 x 600");
+    assert!(example_lines("train") <= 40 && example_lines("render") <= 40);
+}
+
+fn example_lines(name: &str) -> usize {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("examples").join(format!("{name}.rs"));
+    fs::read_to_string(path).expect("readable").lines().count()
+}
+
 /// The session with curl.
 fn session() -> String {
     fs::read_to_string(concat!(env!("CARGO_MANIFEST_DIR"), "/docs/API.md")).expect("readable")

@@ -1,12 +1,10 @@
 //! What leaving out is said to cost is what it costs.
 
 use tcgs::{
-    domain::{
-        AnchorScene, Background, CancelFlag, Dataset, Frame, NearPlane, Scene, SceneFrame, SceneScale, Split,
-    },
+    domain::{AnchorScene, Background, Dataset, Frame, NearPlane, Scene, SceneFrame, SceneScale, Split},
     eval::{RemovalCosts, removal_costs},
-    render::SceneRenderer,
-    train::{Checkpoints, train},
+    render::Renderer,
+    train::Trainer,
 };
 
 use crate::{
@@ -17,8 +15,7 @@ use crate::{
 const BACKGROUND: Background = Background::Black;
 
 fn trained(dataset: &Dataset) -> AnchorScene {
-    let cancel = CancelFlag::default();
-    let trained = train(&gpu(), dataset, &options(60, 3), Checkpoints::default(), &mut |_| (), &cancel);
+    let trained = Trainer::new(&gpu(), dataset, &options(60, 3)).run(|_| ());
     match trained.expect("a scene").scene {
         Scene::Anchors(scene) => scene,
         Scene::Gaussians(_) => panic!("a scene of anchors"),
@@ -34,7 +31,7 @@ fn costs(scene: &AnchorScene, frames: &[&Frame]) -> RemovalCosts {
 }
 
 /// Sum of squared errors of the frames, in units of the largest sample.
-fn squared_error(renderer: &mut SceneRenderer, scene: &AnchorScene, frames: &[&Frame]) -> f64 {
+fn squared_error(renderer: &mut Renderer, scene: &AnchorScene, frames: &[&Frame]) -> f64 {
     renderer.replace(scene).expect("the same shape");
     let of = |frame: &&Frame| {
         let render = renderer.render(&frame.camera).expect("renders");
@@ -51,7 +48,7 @@ fn the_cost_of_an_anchor_is_what_the_views_lose_with_it() {
     let frames = seen(&dataset);
     let scene = trained(&dataset);
     let costs = costs(&scene, &frames);
-    let mut renderer = SceneRenderer::new(&gpu(), &scene, BACKGROUND).expect("a renderer");
+    let mut renderer = Renderer::new(&gpu(), &scene, BACKGROUND).expect("a renderer");
     let whole = squared_error(&mut renderer, &scene, &frames);
     let k = scene.offsets_per_anchor;
     let mut anchors: Vec<usize> = (0..scene.len()).collect();

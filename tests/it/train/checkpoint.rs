@@ -9,7 +9,7 @@ use tcgs::{
     domain::{CancelFlag, Dataset, Digest, ManualClock, ModelKind, Problem, Progress, TrainOptions},
     train::{
         Checkpoint, CheckpointError, CheckpointFolder, CheckpointSink, Checkpoints, TrainError, Trained,
-        train,
+        Trainer,
     },
 };
 
@@ -73,7 +73,7 @@ fn outcome(
 ) -> Result<(Trained, Vec<Progress>), TrainError> {
     let mut reports = Vec::new();
     let mut report = |progress: &Progress| reports.push(progress.clone());
-    let trained = train(&gpu(), dataset, options, checkpoints, &mut report, &CancelFlag::default())?;
+    let trained = Trainer::new(&gpu(), dataset, options).with_checkpoints(checkpoints).run(&mut report)?;
     Ok((trained, reports))
 }
 
@@ -199,7 +199,9 @@ fn a_cancelled_run_leaves_a_checkpoint_of_its_last_step() {
     let cancel = CancelFlag::default();
     let mut report = |_: &Progress| cancel.cancel();
     let checkpoints = Checkpoints { resume: None, sink: Some(&mut kept) };
-    let stopped = train(&gpu(), &dataset(), &options, checkpoints, &mut report, &cancel);
+    let (gpu, dataset) = (gpu(), dataset());
+    let trainer = Trainer::new(&gpu, &dataset, &options).cancelled_by(&cancel);
+    let stopped = trainer.with_checkpoints(checkpoints).run(&mut report);
     assert!(matches!(stopped, Err(TrainError::Cancelled)));
     assert_eq!(kept.steps(), [10], "cancelled at the first report");
     let checkpoint = &kept.checkpoints[&10];
@@ -208,7 +210,8 @@ fn a_cancelled_run_leaves_a_checkpoint_of_its_last_step() {
     // A run that is cancelled before its first step saves no checkpoint.
     let mut again = Kept::at(|_| true);
     let checkpoints = Checkpoints { resume: Some(checkpoint.clone()), sink: Some(&mut again) };
-    let stopped = train(&gpu(), &dataset(), &options, checkpoints, &mut |_| (), &cancel);
+    let trainer = Trainer::new(&gpu, &dataset, &options).cancelled_by(&cancel);
+    let stopped = trainer.with_checkpoints(checkpoints).run(|_| ());
     assert!(matches!(stopped, Err(TrainError::Cancelled)));
     assert!(again.steps().is_empty());
 }

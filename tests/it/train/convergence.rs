@@ -7,10 +7,10 @@ use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 use tcgs::{
     domain::{
-        Camera, CancelFlag, Convergence, Dataset, Digest, Frame, Image, Intrinsics, Layout, ModelKind,
-        Photograph, PhotographError, PixelSource, PointCloud, Pose, Split, TrainOptions, Until,
+        Camera, Convergence, Dataset, Digest, Frame, Image, Intrinsics, Layout, ModelKind, Photograph,
+        PhotographError, PixelSource, PointCloud, Pose, Split, TrainOptions, Until,
     },
-    train::{Checkpoint, CheckpointError, CheckpointSink, Checkpoints, Schedule, Trained, train},
+    train::{Checkpoint, CheckpointError, CheckpointSink, Checkpoints, Schedule, Trained, Trainer},
 };
 
 use crate::support::gpu::gpu;
@@ -81,7 +81,7 @@ fn options(model: ModelKind, until: Until) -> TrainOptions {
 }
 
 fn trained(dataset: &Dataset, options: &TrainOptions, checkpoints: Checkpoints<'_>) -> Trained {
-    train(&gpu(), dataset, options, checkpoints, &mut |_| {}, &CancelFlag::default()).expect("a scene")
+    Trainer::new(&gpu(), dataset, options).with_checkpoints(checkpoints).run(|_| {}).expect("a scene")
 }
 
 /// What does not depend on the machine's speed.

@@ -17,7 +17,7 @@ use tcgs::{
     gpu::{Device, GpuError},
     ingest::{self, LoadBudget},
     pipeline::{Checkpoints, JobError, Pipeline, RunJob as _},
-    train::{self, Needs, TrainError, train},
+    train::{Needs, TrainError, Trainer},
 };
 use tempfile::TempDir;
 
@@ -103,8 +103,7 @@ fn the_estimate_covers_what_a_run_allocates_and_not_much_more() {
         };
         // A peak of its own: what other runs and tests of this process allocate must not count.
         let device = Device::new(&gpu::choice()).expect("an adapter");
-        let nothing = train::Checkpoints::default();
-        train(&device, &dataset, &options, nothing, &mut report, &CancelFlag::default()).expect("a scene");
+        Trainer::new(&device, &dataset, &options).run(&mut report).expect("a scene");
         let peak = device.peak_bytes();
         let estimate = Needs::of(&dataset, &options, device.adapter()).estimate(size);
         let estimated = estimate.gpu_bytes();
@@ -154,20 +153,12 @@ fn a_run_grows_no_further_than_its_budget() {
     assert!((170..40_000).contains(&fitted), "{fitted}");
     let mut anchors = 0;
     let mut report = |progress: &Progress| anchors = anchors.max(progress.anchors as usize);
-    train(&device, &dataset, &options, train::Checkpoints::default(), &mut report, &CancelFlag::default())
-        .expect("a scene");
+    Trainer::new(&device, &dataset, &options).run(&mut report).expect("a scene");
     assert!(anchors <= fitted, "{anchors} of {fitted}");
     assert!(device.peak_bytes() <= device.budget_bytes());
 
     device.set_budget_bytes(1 << 20);
-    let refused = train(
-        &device,
-        &dataset,
-        &options,
-        train::Checkpoints::default(),
-        &mut |_| unreachable!("no step"),
-        &CancelFlag::default(),
-    );
+    let refused = Trainer::new(&device, &dataset, &options).run(|_| unreachable!("no step"));
     assert!(matches!(refused, Err(TrainError::OverBudget(_))), "{refused:?}");
 }
 
@@ -205,16 +196,7 @@ fn a_run_on_streamed_photographs_gives_the_same_bits() {
     assert!(streamed.bytes_in_memory() < in_memory.bytes_in_memory());
     let [one, other] = [in_memory, streamed].map(|dataset| {
         let dataset = with_points(dataset, 150);
-        train(
-            &gpu::gpu(),
-            &dataset,
-            &options(12),
-            train::Checkpoints::default(),
-            &mut |_| {},
-            &CancelFlag::default(),
-        )
-        .expect("a scene")
-        .scene
+        Trainer::new(&gpu::gpu(), &dataset, &options(12)).run(|_| {}).expect("a scene").scene
     });
     assert!(one == other);
 }

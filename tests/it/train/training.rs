@@ -11,10 +11,10 @@ use tcgs::{
     },
     eval::{mean_scores, measure_views},
     render::{
-        Projection, RasterSettings, SceneRenderer,
+        Projection, RasterSettings, Renderer,
         twin::{self, Gaussian},
     },
-    train::{Checkpoints, TrainError, Trained, train},
+    train::{TrainError, Trained, Trainer},
 };
 
 use crate::support::{
@@ -103,9 +103,7 @@ fn plain_scene(scene: &Scene) -> &GaussianScene {
 fn run(dataset: &Dataset, options: &TrainOptions) -> (Trained, Vec<Progress>) {
     let mut reports = Vec::new();
     let mut report = |progress: &Progress| reports.push(progress.clone());
-    let trained =
-        train(&gpu(), dataset, options, Checkpoints::default(), &mut report, &CancelFlag::default())
-            .expect("a scene");
+    let trained = Trainer::new(&gpu(), dataset, options).run(&mut report).expect("a scene");
     (trained, reports)
 }
 
@@ -117,8 +115,8 @@ fn anchors(scene: &Scene) -> &AnchorScene {
 fn psnr(scene: &Scene, dataset: &Dataset, split: Split) -> f64 {
     let background = TrainOptions::default().background;
     let renderer = match scene {
-        Scene::Anchors(scene) => SceneRenderer::new(&gpu(), scene, background),
-        Scene::Gaussians(scene) => SceneRenderer::of_gaussians(&gpu(), scene, background),
+        Scene::Anchors(scene) => Renderer::new(&gpu(), scene, background),
+        Scene::Gaussians(scene) => Renderer::of_gaussians(&gpu(), scene, background),
     };
     let mut renderer = renderer.expect("a renderer");
     let frames: Vec<&Frame> = dataset.split(split).collect();
@@ -286,7 +284,7 @@ fn a_cancelled_run_stops_before_its_next_step() {
         last = progress.step;
         cancel.cancel();
     };
-    let outcome = train(&gpu(), &dataset, &options(1000, 0), Checkpoints::default(), &mut report, &cancel);
+    let outcome = Trainer::new(&gpu(), &dataset, &options(1000, 0)).cancelled_by(&cancel).run(&mut report);
     assert!(matches!(outcome, Err(TrainError::Cancelled)));
     assert_eq!(last, 10, "cancelled at the first report");
 }
@@ -294,9 +292,7 @@ fn a_cancelled_run_stops_before_its_next_step() {
 #[test]
 fn a_dataset_that_cannot_begin_a_scene_is_refused() {
     let refused = |dataset: &Dataset| {
-        let mut report = |_: &Progress| unreachable!("no step");
-        let cancel = CancelFlag::default();
-        let outcome = train(&gpu(), dataset, &options(3, 0), Checkpoints::default(), &mut report, &cancel);
+        let outcome = Trainer::new(&gpu(), dataset, &options(3, 0)).run(|_| unreachable!("no step"));
         outcome.expect_err("a refusal")
     };
     let mut without_frames = dataset();

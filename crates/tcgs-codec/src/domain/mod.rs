@@ -11,7 +11,6 @@ pub mod choices;
 pub mod context_model;
 pub mod conventions;
 pub mod convergence;
-pub mod dataset;
 pub mod digest;
 pub mod format;
 pub mod gaussians;
@@ -43,7 +42,6 @@ pub use context_model::{
 };
 pub use conventions::{Conventions, LpipsNetwork};
 pub use convergence::{AsideScore, Convergence};
-pub use dataset::{Dataset, DatasetSummary, ExifOrientation, Frame, Layout, NamedCamera, PointCloud, Split};
 pub use digest::Digest;
 pub use format::SceneFormat;
 pub use gaussians::{GaussianScene, Scene};
@@ -60,8 +58,8 @@ pub use metrics::{
 pub use metrics_table::{csv_cell, metrics_columns};
 pub use near_plane::NearPlane;
 pub use options::{
-    Background, Component, ModelKind, OptionError, Preset, TRAIN_OPTIONS, TrainOption, TrainOptions, Until,
-    Voxel,
+    Background, Component, ExifOrientation, ModelKind, OptionError, Preset, TRAIN_OPTIONS, TrainOption,
+    TrainOptions, Until, Voxel,
 };
 pub use orbit::Orbit;
 pub use photograph::{Photograph, PhotographError, PixelSource};

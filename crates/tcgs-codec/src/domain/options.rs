@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use thiserror::Error;
 
-use super::{choice::named_choice, dataset::ExifOrientation};
+use super::choice::named_choice;
 
 /// Most iterations of a run.
 pub const MAX_ITERATIONS: u32 = 1_000_000;
@@ -30,6 +30,18 @@ pub struct OptionError {
 impl OptionError {
     fn new(option: &'static str, fault: impl Into<String>) -> Self {
         Self { option, fault: fault.into() }
+    }
+}
+
+named_choice! {
+    /// Whether photographs are turned as the EXIF orientation in them says.
+    pub enum ExifOrientation {
+        /// Where the cameras are those of the turned pixels.
+        Auto = "auto",
+        /// Always.
+        Apply = "apply",
+        /// Never.
+        Ignore = "ignore",
     }
 }
 

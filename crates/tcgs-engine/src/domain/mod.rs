@@ -1,12 +1,14 @@
-//! Types that the engine and the service share: those of [`tcgs_codec::domain`], time, and points of failure.
+//! Types that the engine and the service share: those of [`tcgs_codec::domain`], datasets, time, and points of failure.
 
 mod causes;
 pub mod clock;
+pub mod dataset;
 mod exported_scene;
 pub mod failure_point;
 
 pub use causes::{causes, is_no_space};
 pub use clock::{Clock, ManualClock, SystemClock};
+pub use dataset::{Dataset, DatasetSummary, Frame, Layout, NamedCamera, PointCloud, Split};
 pub use exported_scene::{ExportFidelity, ExportedScene};
 pub use failure_point::FailurePoint;
 pub use tcgs_codec::domain::*;

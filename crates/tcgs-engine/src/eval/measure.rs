@@ -7,13 +7,13 @@ use super::{
 };
 use crate::{
     domain::{Background, Frame, Image, ViewScore},
-    render::{RenderError, SceneRenderer},
+    render::{RenderError, Renderer},
 };
 
 /// Renders frames and compares them with their photographs over a background.
 pub struct ViewMeasurement<'a, E> {
     /// Renders the views.
-    pub renderer: &'a mut SceneRenderer,
+    pub renderer: &'a mut Renderer,
     /// The background of the photographs.
     pub background: Background,
     /// Called before each view is rendered; an error ends the measurement.
@@ -84,7 +84,7 @@ impl<E: From<RenderError> + Send> ViewMeasurement<'_, E> {
 /// # Errors
 /// As [`ViewMeasurement::scores`].
 pub fn measure_views(
-    renderer: &mut SceneRenderer,
+    renderer: &mut Renderer,
     frames: &[&Frame],
     background: Background,
 ) -> Result<Vec<ViewScore>, RenderError> {
@@ -96,7 +96,7 @@ pub fn measure_views(
 /// # Errors
 /// As [`ViewMeasurement::scores`].
 pub fn mean_psnr(
-    renderer: &mut SceneRenderer,
+    renderer: &mut Renderer,
     frames: &[&Frame],
     background: Background,
 ) -> Result<f64, RenderError> {

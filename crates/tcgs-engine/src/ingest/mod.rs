@@ -84,6 +84,16 @@ pub fn load(path: &Path) -> Result<Dataset, Problem> {
     load_with_budget(path, &LoadBudget::default())
 }
 
+impl Dataset {
+    /// As [`load`].
+    ///
+    /// # Errors
+    /// As [`load`].
+    pub fn load(path: impl AsRef<Path>) -> Result<Self, Problem> {
+        load(path.as_ref())
+    }
+}
+
 /// As [`load`], with memory and a place for temporary files of the caller's choice.
 ///
 /// # Errors

@@ -13,7 +13,7 @@ use super::{
 };
 use crate::{
     domain::{CurvePoint, Digest, JobMetrics, Phase, Progress, SceneFormat, TrainOptions},
-    train::{CheckpointFolder, Schedule, TrainError, train_trunk},
+    train::{CheckpointFolder, Schedule, TrainError},
 };
 
 /// Makes the branches of `options` in order. Returns the first file, whose metrics list all points, and the files of the others.
@@ -54,8 +54,7 @@ pub(super) fn run_curve(
     if done.iter().any(Option::is_none) {
         let mut report_trunk = |progress: &Progress| report(Phase::Train, &whole.at(None, progress));
         let trunk = with_checkpoints(inputs, checkpoints, None, &mut |checkpoints| {
-            let RunInputs { device, dataset, budget, cancel, .. } = inputs;
-            train_trunk(device, dataset, options, budget, checkpoints, &mut report_trunk, cancel)
+            inputs.trainer(options).with_checkpoints(checkpoints).run_trunk(&mut report_trunk)
         })?;
         for (number, branch) in wanted.iter().enumerate() {
             if done[number].is_some() {

@@ -2,7 +2,7 @@
 //!
 //! The kind of file follows the model: `tcgs` is quantised and coded, the baselines are written as floats.
 
-use std::time::Instant;
+use std::{sync::Arc, time::Instant};
 
 use super::{
     error::JobError,
@@ -17,10 +17,11 @@ use crate::{
         Provenance, RegressionSearch,
     },
     domain::{
-        AnchorScene, ByteBudget, Choices, CodingEfficiency, GroupQstepLog2, ModelKind, Problem, ProblemType,
-        Scene, TrainOptions,
+        AnchorScene, ByteBudget, CancelFlag, Choices, CodingEfficiency, Dataset, GroupQstepLog2,
+        MemoryBudget, ModelKind, Problem, ProblemType, Scene, TrainOptions,
     },
     export::world::{Origin, in_world_units},
+    gpu::Device,
     train::{BaseQuantSteps, Trained, TrainedContext},
 };
 
@@ -81,6 +82,33 @@ pub(super) fn write_file(
         None => None,
     };
     Ok(Written { bytes, file, budget, coding, encode_seconds, decode_seconds })
+}
+
+/// The file of a trained scene: `.tcgs`, or the file of a baseline. `dataset` and `options` are those that it was trained with.
+///
+/// # Errors
+/// A [`Problem`]: the scene cannot be coded, does not fit [`TrainOptions::max_bytes`], or the device failed.
+pub fn encode(
+    device: &Arc<Device>,
+    dataset: &Dataset,
+    options: &TrainOptions,
+    trained: &Trained,
+) -> Result<Vec<u8>, Problem> {
+    let inputs = RunInputs {
+        device: Arc::clone(device),
+        dataset,
+        budget: MemoryBudget { host: u64::MAX, gpu: device.budget_bytes() },
+        cancel: &CancelFlag::default(),
+        lpips: None,
+        reference: None,
+        checkpoint_every: None,
+        ingest_seconds: 0.0,
+    };
+    match write_file(&inputs, options, trained, &mut || ()) {
+        Ok(written) => Ok(written.bytes),
+        Err(JobError::Fail(problem) | JobError::Retry(problem) | JobError::Hold(problem)) => Err(problem),
+        Err(JobError::Cancelled) => unreachable!("nothing cancels it"),
+    }
 }
 
 /// Codes anchors into `.tcgs` files.

@@ -10,7 +10,7 @@ use crate::{
     domain::{Frame, HeldOut, HeldOutView, Image, PhotographError, Problem, Scores, ViewScore},
     eval::{ERROR_CEILING, InFlight, ViewTasks, error_map, error_ramp, for_each_view, shrunk},
     picture::{PictureError, PictureFormat},
-    render::{RenderError, SceneRenderer},
+    render::{RenderError, Renderer},
 };
 
 /// Views in the report.
@@ -61,7 +61,7 @@ fn held_out(
     heartbeat: &mut dyn FnMut(),
 ) -> Result<Option<HeldOut>, HeldOutError> {
     let file = scene_file::read(file).map_err(HeldOutError::File)?;
-    let mut renderer = SceneRenderer::of_scene(&inputs.device, &file.scene, file.background)?;
+    let mut renderer = Renderer::of_scene(&inputs.device, &file.scene, file.background)?;
     let frames = inputs.test_views();
     let shown: Vec<(&ViewScore, &Frame)> = chosen(&scores.per_view)
         .into_iter()

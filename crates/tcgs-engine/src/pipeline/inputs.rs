@@ -6,9 +6,10 @@ use jiff::SignedDuration;
 
 use super::error::JobError;
 use crate::{
-    domain::{CancelFlag, Dataset, Frame, MemoryBudget, Split, spread::spread},
+    domain::{CancelFlag, Dataset, Frame, MemoryBudget, Split, TrainOptions, spread::spread},
     eval::Lpips,
     gpu::Device,
+    train::Trainer,
 };
 
 /// Views that the renderer is held to the reference on.
@@ -37,6 +38,11 @@ pub(super) struct RunInputs<'a> {
 }
 
 impl<'a> RunInputs<'a> {
+    /// A run of this job.
+    pub(super) fn trainer<'b, 'c>(&'b self, options: &'b TrainOptions) -> Trainer<'b, 'c> {
+        Trainer::new(&self.device, self.dataset, options).within(self.budget).cancelled_by(self.cancel)
+    }
+
     pub(super) fn test_views(&self) -> Vec<&'a Frame> {
         self.dataset.split(Split::Test).collect()
     }

@@ -10,7 +10,7 @@ use crate::{
     domain::{Background, Conventions, Frame, JobMetrics, PhaseSeconds, Scene, Scores},
     eval::{Lpips, ViewMeasurement, mean_scores_with},
     export::world::{Origin, in_world_units},
-    render::SceneRenderer,
+    render::Renderer,
     train::Trained,
 };
 
@@ -32,7 +32,7 @@ pub(super) fn measure(
         heartbeat();
         Ok::<_, JobError>(())
     };
-    let mut renderer = SceneRenderer::of_scene(&inputs.device, &file.scene, background)?;
+    let mut renderer = Renderer::of_scene(&inputs.device, &file.scene, background)?;
     let mut score = |frames: &[&Frame]| -> Result<Scores, JobError> {
         let (renderer, before_each) = (&mut renderer, &mut before_each);
         let views = ViewMeasurement { renderer, background, before_each }.scores(frames, inputs.lpips)?;
@@ -50,7 +50,7 @@ pub(super) fn measure(
     let before = if *unrounded == file.scene {
         test.psnr
     } else {
-        let mut renderer = SceneRenderer::of_scene(&inputs.device, unrounded, background)?;
+        let mut renderer = Renderer::of_scene(&inputs.device, unrounded, background)?;
         let (renderer, before_each) = (&mut renderer, &mut before_each);
         ViewMeasurement { renderer, background, before_each }.mean_psnr(&held_out)?
     };

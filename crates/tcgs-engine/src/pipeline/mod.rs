@@ -31,6 +31,7 @@ use std::{
 use jiff::SignedDuration;
 use tracing::Span;
 
+pub use encode::encode;
 pub use error::JobError;
 pub use inputs::ReferenceViews;
 pub use job::{Checkpoints, CurveFile, JobOutput, Resume, RunJob};

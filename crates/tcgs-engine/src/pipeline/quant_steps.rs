@@ -7,7 +7,7 @@ use crate::{
     domain::{AnchorScene, Background, Frame},
     eval::mean_psnr,
     gpu::Device,
-    render::{RenderError, SceneRenderer},
+    render::{RenderError, Renderer},
     train::BaseQuantSteps,
 };
 
@@ -35,7 +35,7 @@ pub(super) fn choose_quant_steps(
     background: Background,
     keep_going: &mut dyn FnMut() -> bool,
 ) -> Result<BaseQuantSteps, RenderError> {
-    let mut renderer = SceneRenderer::new(device, scene, background)?;
+    let mut renderer = Renderer::new(device, scene, background)?;
     let mut psnr = |scene: &AnchorScene| -> Result<f64, RenderError> {
         renderer.replace(scene)?;
         mean_psnr(&mut renderer, views, background)

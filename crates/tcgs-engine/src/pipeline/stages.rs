@@ -19,7 +19,7 @@ use crate::{
         anchors::SCALINGS_PER_ANCHOR, spread::spread,
     },
     eval::{ColorError, ViewMeasurement, reference_view},
-    render::{SceneRenderer, twin::Cutoffs},
+    render::{Renderer, twin::Cutoffs},
     train::Trained,
 };
 
@@ -51,7 +51,7 @@ pub(super) fn coding_stages(
     let rounded = AnchorScene { networks: scene.networks.clone(), ..decoded.clone() };
     let noisy = with_noise(&rounded, floats, &steps);
     let mut psnr = |scene: &AnchorScene| -> Result<f64, JobError> {
-        let mut renderer = SceneRenderer::new(&inputs.device, scene, background)?;
+        let mut renderer = Renderer::new(&inputs.device, scene, background)?;
         let before_each = &mut || {
             inputs.check_cancelled()?;
             heartbeat();
@@ -108,7 +108,7 @@ pub(super) fn rendering_error(
     let test_views = inputs.test_views();
     let frames: Vec<&Frame> = spread(&test_views, views).copied().collect();
     let Some(first) = frames.first() else { return Ok(None) };
-    let mut renderer = SceneRenderer::of_scene(&inputs.device, scene, background)?;
+    let mut renderer = Renderer::of_scene(&inputs.device, scene, background)?;
     let (mut squares, mut max, mut cutoff_squares) = (0.0, 0.0_f64, 0.0);
     for frame in &frames {
         inputs.check_cancelled()?;

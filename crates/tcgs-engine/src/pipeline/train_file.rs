@@ -14,7 +14,7 @@ use crate::{
         FailurePoint, JobMetrics, Phase, Progress, SceneFormat, SystemClock, TrainOptions,
         failure_point::reach,
     },
-    train::{self, Checkpoint, CheckpointError, CheckpointFolder, CheckpointSink, TrainError, train_within},
+    train::{self, Checkpoint, CheckpointError, CheckpointFolder, CheckpointSink, TrainError},
 };
 
 /// One finished file with its figures.
@@ -38,8 +38,7 @@ pub(super) fn train_file(
         report(Phase::Train, now);
     };
     let trained = with_checkpoints(inputs, checkpoints, start, &mut |checkpoints| {
-        let RunInputs { device, dataset, budget, cancel, .. } = inputs;
-        train_within(device, dataset, options, budget, checkpoints, &mut report_training, cancel)
+        inputs.trainer(options).with_checkpoints(checkpoints).run(&mut report_training)
     })?;
     // Training's estimate of the time left does not cover what follows it.
     progress.eta_seconds = None;

@@ -56,5 +56,5 @@ pub use schedule::{
 };
 pub use statistics::Statistics;
 pub use trained::{Trained, TrainedContext};
-pub use trainer::{Checkpoints, STEP_RECORDING, train, train_trunk, train_within};
+pub use trainer::{Checkpoints, STEP_RECORDING, Trainer};
 pub use wavelet::WaveletWeights;

@@ -15,7 +15,7 @@ use tcgs_codec::domain::{
 };
 use tcgs_engine::eval::{ColorError, reference_view};
 use tcgs_render::{
-    RenderError, SceneRenderer,
+    RenderError, Renderer,
     gpu::{AdapterChoice, Device, DeviceSettings, KernelVariant, Subgroups},
     twin::Cutoffs,
 };
@@ -108,7 +108,7 @@ pub fn measure(
     let mut renderers = Vec::new();
     let mut variants = Vec::new();
     for ((name, _), device) in VARIANTS.iter().zip(devices) {
-        let mut renderer = SceneRenderer::of_scene(device, &scene, background)?;
+        let mut renderer = Renderer::of_scene(device, &scene, background)?;
         // Makes kernels and buffers.
         let error = ColorError::of(&renderer.colors(&camera)?, &exact).ok_or_else(different)?;
         renderers.push(renderer);

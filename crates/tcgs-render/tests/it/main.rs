@@ -7,5 +7,5 @@ mod plain;
 mod raster_device;
 mod raster_oracles;
 mod raster_twin;
-mod scene_renderer;
+mod renderer;
 mod support;

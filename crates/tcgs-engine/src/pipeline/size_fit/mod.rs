@@ -28,7 +28,7 @@ use crate::{
     },
     eval::{mean_psnr, removal_costs},
     gpu::Device,
-    render::SceneRenderer,
+    render::Renderer,
 };
 
 /// Octaves between two entries of the codec's step table.
@@ -96,7 +96,7 @@ pub(super) fn fit_size(
         return Ok((free, budget));
     }
     tracing::info!("the file has {unconstrained_bytes} bytes; fitting it into {limit}");
-    let renderer = SceneRenderer::new(device, scene, background)?;
+    let renderer = Renderer::new(device, scene, background)?;
     let (choice, order, path) = (free.context, Vec::new(), Vec::new());
     let mut files = Files { target, encode, check, renderer, choice, order, path };
     files.path = files.measure_path()?;
@@ -153,7 +153,7 @@ struct Files<'a, 'b> {
     target: &'a SizeFit<'a>,
     encode: &'a mut Encode<'b>,
     check: &'a mut dyn FnMut() -> Result<(), JobError>,
-    renderer: SceneRenderer,
+    renderer: Renderer,
     /// The context models that code the whole scene best.
     choice: ContextChoice,
     /// Gaussians, the most important first.

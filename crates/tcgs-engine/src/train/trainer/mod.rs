@@ -49,61 +49,68 @@ pub struct Checkpoints<'a> {
     pub sink: Option<&'a mut dyn CheckpointSink>,
 }
 
-/// Trains a scene on the dataset's training frames.
-///
-/// `report` is called every few steps, and at once if the run resumes from a checkpoint. The result depends only on dataset,
-/// options and adapter.
-///
-/// # Errors
-/// [`TrainError`]; a cancelled run ends as [`TrainError::Cancelled`] within a step or about a second, or within one view of the
-/// final pruning pass. [`TrainError::Checkpoint`] only before the first step.
-pub fn train(
-    device: &Arc<Device>,
-    dataset: &Dataset,
-    options: &TrainOptions,
-    checkpoints: Checkpoints<'_>,
-    report: &mut dyn FnMut(&Progress),
-    cancel: &CancelFlag,
-) -> Result<Trained> {
-    let budget = MemoryBudget { host: u64::MAX, gpu: device.budget_bytes() };
-    train_within(device, dataset, options, &budget, checkpoints, report, cancel)
+/// A training run on the training frames of a dataset, before its first step. The result depends only on dataset, options and adapter.
+pub struct Trainer<'a, 'c> {
+    device: &'a Arc<Device>,
+    dataset: &'a Dataset,
+    options: &'a TrainOptions,
+    budget: MemoryBudget,
+    checkpoints: Checkpoints<'c>,
+    cancel: CancelFlag,
 }
 
-/// Like [`train`], with growth limited to what fits `budget`.
-///
-/// # Errors
-/// Those of [`train`], and [`TrainError::OverBudget`] before the first step.
-pub fn train_within(
-    device: &Arc<Device>,
-    dataset: &Dataset,
-    options: &TrainOptions,
-    budget: &MemoryBudget,
-    checkpoints: Checkpoints<'_>,
-    report: &mut dyn FnMut(&Progress),
-    cancel: &CancelFlag,
-) -> Result<Trained> {
-    let mut run = Run::new(device, dataset, options, budget, checkpoints.resume)?;
-    run.run_until(Goal::End, checkpoints.sink, report, cancel)?;
-    run.finish(cancel)
-}
+impl<'a, 'c> Trainer<'a, 'c> {
+    /// A run from the start that keeps no checkpoints. Its growth is limited by the device's budget ([`Device::budget_bytes`]).
+    #[must_use]
+    pub fn new(device: &'a Arc<Device>, dataset: &'a Dataset, options: &'a TrainOptions) -> Self {
+        let budget = MemoryBudget { host: u64::MAX, gpu: device.budget_bytes() };
+        let (checkpoints, cancel) = (Checkpoints::default(), CancelFlag::default());
+        Self { device, dataset, options, budget, checkpoints, cancel }
+    }
 
-/// Trains the steps that the branches of a rate-distortion curve share, up to [`Schedule::fork_step`], and returns the
-/// checkpoint for [`Checkpoint::fork`], which is saved too.
-///
-/// # Errors
-/// As [`train_within`].
-pub fn train_trunk(
-    device: &Arc<Device>,
-    dataset: &Dataset,
-    options: &TrainOptions,
-    budget: &MemoryBudget,
-    checkpoints: Checkpoints<'_>,
-    report: &mut dyn FnMut(&Progress),
-    cancel: &CancelFlag,
-) -> Result<Checkpoint> {
-    let mut run = Run::new(device, dataset, options, budget, checkpoints.resume)?;
-    run.run_until(Goal::Fork, checkpoints.sink, report, cancel)?;
-    run.checkpoint()
+    /// With growth limited to what fits `budget`.
+    #[must_use]
+    pub fn within(self, budget: MemoryBudget) -> Self {
+        Self { budget, ..self }
+    }
+
+    /// Resumed from a checkpoint, or saving some.
+    #[must_use]
+    pub fn with_checkpoints(self, checkpoints: Checkpoints<'c>) -> Self {
+        Self { checkpoints, ..self }
+    }
+
+    /// Ends as [`TrainError::Cancelled`] once `cancel` is set: within a step or about a second, or within one view of the final
+    /// pruning pass.
+    #[must_use]
+    pub fn cancelled_by(self, cancel: &CancelFlag) -> Self {
+        Self { cancel: cancel.clone(), ..self }
+    }
+
+    /// Trains to the last step. `observer` is called every few steps, and at once if the run resumes from a checkpoint.
+    ///
+    /// # Errors
+    /// [`TrainError`]; [`TrainError::Checkpoint`] and [`TrainError::OverBudget`] only before the first step.
+    pub fn run(self, mut observer: impl FnMut(&Progress)) -> Result<Trained> {
+        let cancel = self.cancel.clone();
+        self.run_until(Goal::End, &mut observer)?.finish(&cancel)
+    }
+
+    /// Trains the steps that the branches of a rate-distortion curve share, up to [`Schedule::fork_step`], and returns the
+    /// checkpoint for [`Checkpoint::fork`], which is saved too.
+    ///
+    /// # Errors
+    /// As [`Trainer::run`].
+    pub fn run_trunk(self, mut observer: impl FnMut(&Progress)) -> Result<Checkpoint> {
+        self.run_until(Goal::Fork, &mut observer)?.checkpoint()
+    }
+
+    fn run_until(self, goal: Goal, observer: &mut dyn FnMut(&Progress)) -> Result<Run> {
+        let Self { device, dataset, options, budget, checkpoints, cancel } = self;
+        let mut run = Run::new(device, dataset, options, &budget, checkpoints.resume)?;
+        run.run_until(goal, checkpoints.sink, observer, &cancel)?;
+        Ok(run)
+    }
 }
 
 /// Saves checkpoints of a run, at most one per step.

@@ -5,7 +5,9 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::{Camera, Digest, Photograph, choice::named_choice};
+use tcgs_codec::named_choice;
+
+use super::{Camera, Digest, Photograph};
 
 /// Every eighth image by name is held out if the layout has no test split (METHOD.md §1.1).
 pub const HOLD_OUT_EVERY: usize = 8;
@@ -22,18 +24,6 @@ named_choice! {
         Nerfstudio = "nerfstudio",
         /// `sparse/0` with cameras, images and points3D, binary or text.
         Colmap = "colmap",
-    }
-}
-
-named_choice! {
-    /// Whether photographs are turned as the EXIF orientation in them says.
-    pub enum ExifOrientation {
-        /// Where the cameras are those of the turned pixels.
-        Auto = "auto",
-        /// Always.
-        Apply = "apply",
-        /// Never.
-        Ignore = "ignore",
     }
 }
 

@@ -5,7 +5,7 @@ use std::{cell::Cell, sync::Arc};
 use glam::DVec3;
 use tcgs_codec::domain::{AnchorScene, Background, Digest, Lattice, Scene, SceneScale};
 use tcgs_render::{
-    PackedImage, Projection, RasterSettings, RenderError, RenderViews, SceneRenderer, SceneViewer,
+    PackedImage, Projection, RasterSettings, RenderError, RenderViews, Renderer, SceneViewer,
     model::{AnchorRows, NetworkLayout, Shape},
     twin::{self, neural},
     views::{MIN_VISIBLE_ALPHA, ScalarKind, Viewable},
@@ -44,7 +44,7 @@ fn a_view_is_the_twins_view_in_8_bits() {
         [(Background::White, 1.0), (Background::Black, 1.0), (Background::Black, 2.5)]
     {
         finished.scene_scale = SceneScale::new(scene_scale).expect("a length");
-        let mut renderer = SceneRenderer::new(&gpu(), &finished, background).expect("a renderer");
+        let mut renderer = Renderer::new(&gpu(), &finished, background).expect("a renderer");
         let image = renderer.render(&camera).expect("a view");
         let projection = Projection::new(&camera, &RasterSettings::default());
         let spawned = neural::neural_forward(
@@ -70,7 +70,7 @@ fn a_view_is_the_twins_view_in_8_bits() {
 #[test]
 fn views_of_a_sequence_are_those_of_single_views() {
     let (_, _, finished) = scene();
-    let mut renderer = SceneRenderer::new(&gpu(), &finished, Background::White).expect("a renderer");
+    let mut renderer = Renderer::new(&gpu(), &finished, Background::White).expect("a renderer");
     let cameras = [(45, 37), (45, 37), (64, 16), (45, 37), (8, 8)].map(|(w, h)| random::camera(w, h));
     let alone = cameras.each_ref().map(|camera| renderer.render(camera).expect("a view"));
     let sequence: Result<Vec<_>, _> = renderer.views(cameras.into_iter()).collect();
@@ -85,7 +85,7 @@ fn views_of_a_sequence_are_those_of_single_views() {
 fn a_sequence_on_a_lost_device_ends_with_its_loss() {
     let (_, _, finished) = scene();
     let device = tcgs_render::gpu::Device::new(&choice()).expect("a device");
-    let mut renderer = SceneRenderer::new(&device, &finished, Background::White).expect("a renderer");
+    let mut renderer = Renderer::new(&device, &finished, Background::White).expect("a renderer");
     let mut views = renderer.views(std::iter::repeat(random::camera(45, 37)));
     views.next().expect("a view").expect("rendered");
     device.destroy();
@@ -97,7 +97,7 @@ fn a_sequence_on_a_lost_device_ends_with_its_loss() {
 fn depth_and_alpha_are_the_twins() {
     let (rows, networks, finished) = scene();
     let camera = random::camera(45, 37);
-    let mut renderer = SceneRenderer::new(&gpu(), &finished, Background::White).expect("a renderer");
+    let mut renderer = Renderer::new(&gpu(), &finished, Background::White).expect("a renderer");
     let depth = renderer.plane(&camera, ScalarKind::Depth).expect("a view");
     let alpha = renderer.plane(&camera, ScalarKind::Alpha).expect("a view");
     assert_eq!((depth.width, depth.height, alpha.width, alpha.height), (45, 37, 45, 37));
@@ -134,7 +134,7 @@ fn depth_and_alpha_are_the_twins() {
     }
     assert!(seen > 100 && empty > 10, "{seen} pixels see something, {empty} nothing");
     let image = renderer.render(&camera).expect("a view");
-    let mut fresh = SceneRenderer::new(&gpu(), &finished, Background::White).expect("a renderer");
+    let mut fresh = Renderer::new(&gpu(), &finished, Background::White).expect("a renderer");
     assert_eq!(fresh.render(&camera), Ok(image), "colours are what they are without depth before them");
 }
 
@@ -142,7 +142,7 @@ fn depth_and_alpha_are_the_twins() {
 fn networks_of_another_depth_are_refused() {
     let (_, _, mut finished) = scene();
     finished.networks.color.layers.pop();
-    let refused = SceneRenderer::new(&gpu(), &finished, Background::Black).map(drop);
+    let refused = Renderer::new(&gpu(), &finished, Background::Black).map(drop);
     assert!(matches!(refused, Err(RenderError::Scene(fault)) if fault.contains("layers")));
 }
 
@@ -156,7 +156,7 @@ fn widths_that_a_file_may_have_and_the_kernels_do_not_know_are_refused() {
         finished.offsets_per_anchor = offsets;
         finished.offsets = vec![0.0; anchors * offsets * 3];
         finished.masks = vec![true; anchors * offsets];
-        SceneRenderer::new(&gpu(), &finished, Background::Black).map(drop)
+        Renderer::new(&gpu(), &finished, Background::Black).map(drop)
     };
     for (features, offsets, part) in [(4, 33, "33 offsets"), (4, 64, "64 offsets"), (0, 2, "no channels")] {
         let refused = wide(features, offsets);

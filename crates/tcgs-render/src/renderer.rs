@@ -17,7 +17,7 @@ use crate::{
 
 /// A scene on the device, ready to be rendered.
 #[derive(Debug)]
-pub struct SceneRenderer {
+pub struct Renderer {
     device: Arc<Device>,
     source: SceneBuffers,
     raster: Rasterizer,
@@ -51,7 +51,7 @@ impl SceneBuffers {
     }
 }
 
-impl SceneRenderer {
+impl Renderer {
     /// Uploads a scene of either kind.
     ///
     /// # Errors
@@ -66,7 +66,7 @@ impl SceneRenderer {
     /// Uploads a scene of anchors.
     ///
     /// # Errors
-    /// As [`SceneRenderer::of_scene`].
+    /// As [`Renderer::of_scene`].
     pub fn new(device: &Arc<Device>, scene: &AnchorScene, background: Background) -> Result<Self> {
         let anchors = upload(device, scene)?;
         let (shape, near) = (anchors.shape, scene.near.depth());
@@ -130,7 +130,7 @@ impl SceneRenderer {
         self.finish(view)
     }
 
-    /// The views from cameras, each as [`SceneRenderer::render`] gives it. While one is read back, the next renders.
+    /// The views from cameras, each as [`Renderer::render`] gives it. While one is read back, the next renders.
     pub fn views<I: Iterator<Item = Camera>>(&mut self, cameras: I) -> Views<'_, I> {
         Views { renderer: self, cameras: cameras.fuse(), pending: None }
     }
@@ -233,10 +233,10 @@ struct PendingView {
     capacity: usize,
 }
 
-/// The iterator of [`SceneRenderer::views`]: at most two views are on the device.
+/// The iterator of [`Renderer::views`]: at most two views are on the device.
 #[derive(Debug)]
 pub struct Views<'a, I> {
-    renderer: &'a mut SceneRenderer,
+    renderer: &'a mut Renderer,
     cameras: Fuse<I>,
     pending: Option<PendingView>,
 }
