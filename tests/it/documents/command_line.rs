@@ -34,7 +34,7 @@ fn flags_in_the_documents_exist() {
     }
     assert!(known.contains("--iterations") && known.contains("--rd-curve"), "{known:?}");
     // Flags of other programs that the pages call.
-    let others = ["--build", "--data-binary"].map(str::to_owned);
+    let others = ["--build", "--data-binary", "--example", "--release"].map(str::to_owned);
     for page in PAGES {
         let unknown: Vec<String> = flags(&text(page))
             .into_iter()

@@ -230,7 +230,7 @@ mod tests {
 
     #[test]
     fn a_kernel_does_not_depend_on_those_composed_before() {
-        let source = kernel_source!("spawn_gaussians");
+        let source = table::find_kernel("spawn_gaussians");
         let made = |composer: &mut Composer, features: u32| {
             let defs = [("FEATURES", features), ("OFFSETS", 10)];
             format!("{:?}", compose(composer, source, &defs).expect("composed"))
