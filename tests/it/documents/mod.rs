@@ -11,3 +11,4 @@ mod manifests;
 mod plots;
 mod problems;
 mod retired_words;
+mod sentences;

@@ -294,7 +294,7 @@ impl Content<'_> {
             return vec![heading, Block::Note(none.to_owned())];
         }
         let note = "Mean difference of bytes at equal PSNR (less is smaller) and of PSNR at equal bytes, over the range that both curves \
-            have, for each seed and then over seeds, if all of them share one. The cubic fit takes four points, PCHIP two.";
+                    have. It is a mean over seeds, if all of them have such a range. The cubic fit takes four points, PCHIP two.";
         vec![heading, Block::Table(table), Block::Note(note.to_owned())]
     }
 
@@ -444,7 +444,7 @@ impl Content<'_> {
         });
         let note = format!(
             "Made scenes on {}. The renderer culls Gaussians that reach no tile and sorts the others by depth and by tile with one stable \
-             radix sort; it has no other algorithm to compare, so the variants are ways of dividing that work among lanes. What skipping \
+             radix sort. It has no other algorithm to compare, so the variants are ways of dividing that work among lanes. What skipping \
              faint contributions costs is told by the reference, with and without cut-offs.",
             one.adapter[1]
         );
