@@ -55,8 +55,9 @@ struct CreateArgs {
     #[arg(long)]
     name: String,
 
-    /// Scopes, separated by commas: read, scenes:write, jobs:write, or admin for everything of every project
-    #[arg(long, value_delimiter = ',', default_value = "read,scenes:write,jobs:write")]
+    /// Scopes, separated by commas: read, datasets:write (also scenes:write), jobs:write, or admin for everything of every
+    /// project
+    #[arg(long, value_delimiter = ',', default_value = "read,datasets:write,jobs:write", value_parser = scope)]
     scopes: Vec<Scope>,
 
     /// Project that it belongs to: an id as `tcgs projects list` shows it, or `default`, which has what was made without a key
@@ -109,6 +110,11 @@ struct ListArgs {
 struct RevokeArgs {
     /// The key's id, as `tcgs keys list` shows it
     id: KeyId,
+}
+
+/// A scope by its name, or by a name that means the same.
+fn scope(text: &str) -> Result<Scope, String> {
+    if text == "datasets:write" { Ok(Scope::DatasetsWrite) } else { text.parse() }
 }
 
 /// A project's id, or that of the project of everything that was made without a key.

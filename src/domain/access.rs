@@ -10,10 +10,11 @@ use super::{KeyId, ProjectId, named_choice};
 named_choice! {
     /// What a key allows.
     pub enum Scope {
-        /// See scenes, jobs, files and views.
+        /// See datasets, jobs, files and views.
         Read = "read",
-        /// Send and delete scenes.
-        ScenesWrite = "scenes:write",
+        /// Send and delete datasets. Also read as `datasets:write`.
+        #[serde(alias = "datasets:write")]
+        DatasetsWrite = "scenes:write",
         /// Make, cancel and delete jobs.
         JobsWrite = "jobs:write",
         /// Everything, of every project.

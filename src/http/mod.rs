@@ -75,6 +75,8 @@ fn routes(state: AppState, more: Router<AppState>) -> Router {
             get(views::sequence::animation).post(views::sequence::animation_path),
         )
         .route("/v1/jobs/{id}/report", get(report::get))
+        .route("/v1/datasets", get(datasets::list).post(datasets::create::create))
+        .route("/v1/datasets/{id}", get(datasets::get).delete(datasets::delete))
         .route("/v1/scenes", get(datasets::list).post(datasets::create::create))
         .route("/v1/scenes/{id}", get(datasets::get).delete(datasets::delete))
         .merge(uploads)

@@ -327,7 +327,7 @@ fn out_of_scope(key: &KeyRecord, scope: Scope) -> ProblemResponse {
         format!("this needs the scope {}; the key '{}' has {}", scope.name(), key.name, has.join(", "));
     let challenge = match scope {
         Scope::Read => "Bearer realm=\"tcgs\", error=\"insufficient_scope\", scope=\"read\"",
-        Scope::ScenesWrite => "Bearer realm=\"tcgs\", error=\"insufficient_scope\", scope=\"scenes:write\"",
+        Scope::DatasetsWrite => "Bearer realm=\"tcgs\", error=\"insufficient_scope\", scope=\"scenes:write\"",
         Scope::JobsWrite => "Bearer realm=\"tcgs\", error=\"insufficient_scope\", scope=\"jobs:write\"",
         Scope::Admin => "Bearer realm=\"tcgs\", error=\"insufficient_scope\", scope=\"admin\"",
     };

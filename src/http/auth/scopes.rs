@@ -14,7 +14,7 @@ pub(crate) enum Access {
 }
 
 use Access::{Open, Scope as Needs};
-use Scope::{Admin, JobsWrite, Read, ScenesWrite};
+use Scope::{Admin, DatasetsWrite, JobsWrite, Read};
 
 /// Method and route of every operation, as the router has them, in the order of `openapi.yaml`.
 const OPERATIONS: &[(&str, &str, Access)] = &[
@@ -36,16 +36,20 @@ const OPERATIONS: &[(&str, &str, Access)] = &[
     ("GET", "/v1/jobs/{id}/animation", Needs(Read)),
     ("POST", "/v1/jobs/{id}/animation", Needs(Read)),
     ("GET", "/v1/jobs/{id}/report", Needs(Read)),
-    ("POST", "/v1/scenes", Needs(ScenesWrite)),
+    ("POST", "/v1/datasets", Needs(DatasetsWrite)),
+    ("GET", "/v1/datasets", Needs(Read)),
+    ("GET", "/v1/datasets/{id}", Needs(Read)),
+    ("DELETE", "/v1/datasets/{id}", Needs(DatasetsWrite)),
+    ("POST", "/v1/scenes", Needs(DatasetsWrite)),
     ("GET", "/v1/scenes", Needs(Read)),
     ("GET", "/v1/scenes/{id}", Needs(Read)),
-    ("DELETE", "/v1/scenes/{id}", Needs(ScenesWrite)),
-    ("OPTIONS", "/v1/uploads", Needs(ScenesWrite)),
-    ("POST", "/v1/uploads", Needs(ScenesWrite)),
-    ("HEAD", "/v1/uploads/{id}", Needs(ScenesWrite)),
-    ("PATCH", "/v1/uploads/{id}", Needs(ScenesWrite)),
-    ("POST", "/v1/uploads/{id}", Needs(ScenesWrite)),
-    ("DELETE", "/v1/uploads/{id}", Needs(ScenesWrite)),
+    ("DELETE", "/v1/scenes/{id}", Needs(DatasetsWrite)),
+    ("OPTIONS", "/v1/uploads", Needs(DatasetsWrite)),
+    ("POST", "/v1/uploads", Needs(DatasetsWrite)),
+    ("HEAD", "/v1/uploads/{id}", Needs(DatasetsWrite)),
+    ("PATCH", "/v1/uploads/{id}", Needs(DatasetsWrite)),
+    ("POST", "/v1/uploads/{id}", Needs(DatasetsWrite)),
+    ("DELETE", "/v1/uploads/{id}", Needs(DatasetsWrite)),
     ("POST", "/v1/webhook-endpoints", Needs(JobsWrite)),
     ("GET", "/v1/webhook-endpoints", Needs(Read)),
     ("GET", "/v1/webhook-endpoints/{id}", Needs(Read)),

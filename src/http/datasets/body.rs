@@ -1,16 +1,12 @@
-//! A scene as the API shows it.
+//! A dataset as the API shows it.
 
 use serde_json::{Value, json};
 
-use crate::{domain::DatasetId, store::DatasetRecord};
+use super::naming::Naming;
+use crate::store::DatasetRecord;
 
-/// The path of a scene.
-pub(crate) fn href(id: DatasetId) -> String {
-    format!("/v1/scenes/{id}")
-}
-
-/// `#/components/schemas/Scene` of the contract. A scene exists only once its dataset has been checked, so there is one state.
-pub(crate) fn scene(record: &DatasetRecord) -> Value {
+/// `#/components/schemas/Scene` of the contract. It exists only once the archive has been checked, so there is one state.
+pub(crate) fn dataset(record: &DatasetRecord, naming: Naming) -> Value {
     json!({
         "id": record.id,
         "state": "ready",
@@ -18,6 +14,6 @@ pub(crate) fn scene(record: &DatasetRecord) -> Value {
         "dataset": record.dataset,
         "summary": record.summary,
         "created_at": record.created_at,
-        "links": { "self": href(record.id), "jobs": format!("/v1/jobs?scene_id={}", record.id) },
+        "links": { "self": naming.href(record.id), "jobs": naming.jobs(record.id) },
     })
 }

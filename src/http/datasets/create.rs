@@ -1,4 +1,4 @@
-//! `POST /v1/scenes`: creates a scene from the archive in the body, or from a finished upload.
+//! `POST /v1/datasets`: creates a dataset from the archive in the body, or from a finished upload.
 
 use std::sync::Arc;
 
@@ -10,8 +10,8 @@ use axum::{
 use serde::Deserialize;
 
 use super::{
-    body::href,
     find,
+    naming::Naming,
     received::{ReceivedDataset, receive},
     representation,
 };
@@ -62,10 +62,11 @@ impl JsonBody for CreateSceneRequest {
     const EXPECTED: &'static str = "{\"upload_id\": ID, \"name\": TEXT}";
 }
 
-/// `POST /v1/scenes`.
+/// `POST /v1/datasets`.
 pub(crate) async fn create(
     State(state): State<AppState>,
     caller: Caller,
+    naming: Naming,
     uri: Uri,
     headers: HeaderMap,
     body: Body,
@@ -88,8 +89,8 @@ pub(crate) async fn create(
         CreateOutcome::Created(scene) => (scene, false),
         CreateOutcome::Replayed(scene) => (scene, true),
     };
-    let location = HeaderValue::try_from(href(record.id))?;
-    let mut response = representation(record);
+    let location = HeaderValue::try_from(naming.href(record.id))?;
+    let mut response = representation(record, naming);
     *response.status_mut() = status;
     response.headers_mut().insert(header::LOCATION, location);
     if replayed {

@@ -1,7 +1,8 @@
-//! Scenes: list, get, delete.
+//! Datasets, which the API calls scenes too ([`naming`]): list, get, delete.
 
-pub(super) mod body;
+mod body;
 pub(super) mod create;
+mod naming;
 pub(super) mod received;
 
 use axum::{
@@ -11,7 +12,7 @@ use axum::{
     response::{IntoResponse, Response},
 };
 
-use self::body::scene;
+use self::{body::dataset, naming::Naming};
 use super::{
     problem::{Answer as _, ApiResult, ProblemResponse},
     request::{Etag, IfMatch, Page, Parameters, cursor, not_modified, parse_cursor},
@@ -32,10 +33,11 @@ pub(super) async fn find(state: &AppState, caller: &Caller, id: &str) -> ApiResu
     record.filter(|record| caller.may_see(record.project)).ok_or_else(|| ProblemResponse::no_scene(id))
 }
 
-/// `GET /v1/scenes`.
+/// `GET /v1/datasets`.
 pub(super) async fn list(
     State(state): State<AppState>,
     caller: Caller,
+    naming: Naming,
     mut parameters: Parameters,
 ) -> ApiResult {
     let page = Page::take(&mut parameters, |text| {
@@ -45,14 +47,15 @@ pub(super) async fn list(
     parameters.finish()?;
     let records = state.store().datasets(caller.visible_project(), page.after, page.to_read()).await?;
     let after = |last: &DatasetRecord| cursor(last.created_at, last.id);
-    page.answer("scenes", records, "/v1/scenes", after, |record| scene(&record))
+    page.answer(naming.list(), records, naming.path(), after, |record| dataset(&record, naming))
 }
 
-/// `GET /v1/scenes/{id}`.
+/// `GET /v1/datasets/{id}`.
 pub(super) async fn get(
     State(state): State<AppState>,
     caller: Caller,
     Path(id): Path<String>,
+    naming: Naming,
     headers: HeaderMap,
 ) -> ApiResult {
     let record = find(&state, &caller, &id).await?;
@@ -60,17 +63,17 @@ pub(super) async fn get(
     if etag.is_in_if_none_match(&headers) {
         return Ok(not_modified(&etag));
     }
-    Ok(representation(record))
+    Ok(representation(record, naming))
 }
 
-/// 200 with the scene.
-pub(super) fn representation(record: DatasetRecord) -> Response {
+/// 200 with the dataset.
+fn representation(record: DatasetRecord, naming: Naming) -> Response {
     let etag = Etag::new(record.version).value();
     let caching = HeaderValue::from_static("no-cache");
-    ([(header::ETAG, etag), (header::CACHE_CONTROL, caching)], Json(scene(&record))).into_response()
+    ([(header::ETAG, etag), (header::CACHE_CONTROL, caching)], Json(dataset(&record, naming))).into_response()
 }
 
-/// `DELETE /v1/scenes/{id}`.
+/// `DELETE /v1/datasets/{id}`.
 pub(super) async fn delete(
     State(state): State<AppState>,
     caller: Caller,

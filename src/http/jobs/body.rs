@@ -55,6 +55,7 @@ pub(crate) fn job(record: &JobRecord) -> Value {
         "priority": record.priority,
         "deadline_at": record.deadline_at,
         "retry_of": record.retry_of,
+        "dataset_id": record.dataset_id,
         "scene_id": record.dataset_id,
         "options": job.options,
         "dataset": record.dataset,

@@ -52,13 +52,16 @@ impl CreateJobRequest {
         Self { options, priority, deadline_s, name, metadata }.validated()
     }
 
-    /// Reads a JSON object, which also names the scene.
+    /// Reads a JSON object, which also names the dataset.
     pub(super) fn from_json(content: &[u8]) -> ApiResult<(DatasetId, Self)> {
         let mut object: Map<String, Value> = parse_json(content)?;
-        let scene = object.remove("scene_id").ok_or_else(|| {
-            ProblemResponse::parameter("scene_id", "is missing; name the scene to train on")
+        let mut id = |name: &str| {
+            let value = object.remove(name);
+            value.map(|value| field(name, value, "a dataset's id")).transpose()
+        };
+        let dataset = one_dataset(id("dataset_id")?, id("scene_id")?)?.ok_or_else(|| {
+            ProblemResponse::parameter("dataset_id", "is missing; name the dataset to train on")
         })?;
-        let scene = field("scene_id", scene, "a scene's id")?;
         let priority = object.remove("priority").map(|value| field("priority", value, "a whole number"));
         let deadline_s = object
             .remove("deadline_s")
@@ -74,7 +77,7 @@ impl CreateJobRequest {
         });
         let metadata = metadata.transpose()?.unwrap_or_default();
         let options = options(&object)?;
-        Ok((scene, Self { options, priority, deadline_s, name, metadata }.validated()?))
+        Ok((dataset, Self { options, priority, deadline_s, name, metadata }.validated()?))
     }
 
     fn validated(self) -> ApiResult<Self> {
@@ -104,6 +107,20 @@ fn job_name(name: &str) -> ApiResult<String> {
 pub(super) fn labels(parameters: &mut Parameters) -> ApiResult<Metadata> {
     let labels: BTreeMap<String, String> = parameters.take_map("metadata").into_iter().collect();
     Metadata::try_from(labels).map_err(|error| ProblemResponse::parameter("metadata", error))
+}
+
+/// The dataset that `dataset_id` and its earlier name, `scene_id`, name.
+///
+/// # Errors
+/// 422 if they name two.
+pub(super) fn one_dataset(
+    dataset: Option<DatasetId>,
+    scene: Option<DatasetId>,
+) -> ApiResult<Option<DatasetId>> {
+    if dataset.is_some() && scene.is_some() && dataset != scene {
+        return Err(ProblemResponse::parameter("scene_id", "names another dataset than dataset_id"));
+    }
+    Ok(dataset.or(scene))
 }
 
 fn field<T: serde::de::DeserializeOwned>(name: &str, value: Value, expected: &str) -> ApiResult<T> {
@@ -162,6 +179,26 @@ mod tests {
         fields["scene_id"] = json!(SCENE);
         let read = CreateJobRequest::from_json(&serde_json::to_vec(&fields).expect("JSON"));
         read.map(|(_, request)| request).map_err(|fault| format!("{fault:?}"))
+    }
+
+    #[test]
+    fn a_dataset_is_named_by_either_name() {
+        let other = SCENE.replace('1', "2");
+        let named = |fields: Value| {
+            let read = CreateJobRequest::from_json(&serde_json::to_vec(&fields).expect("JSON"));
+            read.map(|(dataset, _)| dataset.to_string()).map_err(|fault| format!("{fault:?}"))
+        };
+        for fields in [
+            json!({ "dataset_id": SCENE }),
+            json!({ "scene_id": SCENE }),
+            json!({ "dataset_id": SCENE, "scene_id": SCENE }),
+        ] {
+            assert_eq!(named(fields).expect("a request"), SCENE);
+        }
+        let two = named(json!({ "dataset_id": SCENE, "scene_id": other })).expect_err("two datasets");
+        assert!(two.contains("another dataset than dataset_id"), "{two}");
+        let none = named(json!({ "preset": "preview" })).expect_err("no dataset");
+        assert!(none.contains("dataset_id") && none.contains("is missing"), "{none}");
     }
 
     #[test]

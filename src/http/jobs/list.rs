@@ -4,9 +4,9 @@ use axum::extract::State;
 
 use super::body::job;
 use crate::{
-    domain::{Caller, JobState, ProjectId},
+    domain::{Caller, DatasetId, JobState, ProjectId},
     http::{
-        jobs::create_request::labels,
+        jobs::create_request::{labels, one_dataset},
         problem::{ApiResult, ProblemResponse},
         request::{Page, Parameters, cursor, parse_cursor},
         state::AppState,
@@ -33,7 +33,7 @@ pub(crate) async fn list(
             (_, asked) => asked,
         },
         states: parameters.take("state").map(|text| parse_states(&text)).transpose()?.unwrap_or_default(),
-        dataset_id: parameters.take_as("scene_id", "a scene's id")?,
+        dataset_id: take_dataset(&mut parameters)?,
         model: parameters.take_as("model", "one of tcgs, scaffold, 3dgs")?,
         name: parameters.take("name"),
         created_from: parameters.take_as("created_from", "an instant such as 2026-11-21T12:00:00Z")?,
@@ -45,6 +45,13 @@ pub(crate) async fn list(
     let records = state.store().jobs(&seen, page.after, page.to_read()).await?;
     let after = |last: &JobRecord| cursor(last.job.created_at, last.job.id);
     page.answer("jobs", records, &filtered(&filter)?, after, |record| job(&record))
+}
+
+/// `dataset_id`, or `scene_id`, its earlier name.
+fn take_dataset(parameters: &mut Parameters) -> ApiResult<Option<DatasetId>> {
+    let dataset = parameters.take_as("dataset_id", "a dataset's id")?;
+    let scene = parameters.take_as("scene_id", "a dataset's id")?;
+    one_dataset(dataset, scene)
 }
 
 fn parse_states(text: &str) -> ApiResult<Vec<JobState>> {

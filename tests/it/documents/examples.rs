@@ -106,7 +106,7 @@ async fn the_session_with_curl_goes_as_it_is_written() {
         return;
     }
     let server = Server::start(&Coverage::default()).await;
-    let key = server.key(&[Scope::Read, Scope::ScenesWrite, Scope::JobsWrite]).await;
+    let key = server.key(&[Scope::Read, Scope::DatasetsWrite, Scope::JobsWrite]).await;
     let folder = tempfile::tempdir().expect("a folder");
     let script = folder.path().join("session.sh");
     fs::write(&script, format!("set -euo pipefail\n{}", blocks(&session(), "sh"))).expect("writes");
@@ -217,7 +217,7 @@ async fn the_client_in_python_brings_a_scene_and_a_view() {
         return;
     }
     let server = Server::start(&Coverage::default()).await;
-    let key = server.key(&[Scope::Read, Scope::ScenesWrite, Scope::JobsWrite]).await;
+    let key = server.key(&[Scope::Read, Scope::DatasetsWrite, Scope::JobsWrite]).await;
     let folder = tempfile::tempdir().expect("a folder");
     let dataset = scene(folder.path());
     let part = (fs::metadata(&dataset).expect("a file").len() / 3).to_string();
@@ -292,7 +292,7 @@ async fn the_client_in_python_survives_connections_that_break_at_any_byte() {
         return;
     }
     let server = Server::start(&Coverage::default()).await;
-    let key = server.key(&[Scope::Read, Scope::ScenesWrite, Scope::JobsWrite]).await;
+    let key = server.key(&[Scope::Read, Scope::DatasetsWrite, Scope::JobsWrite]).await;
     // Within the status, within headers, at their end, within bodies.
     let cuts = [[1, 12, 17], [40, 80, 130], [190, 260, 330], [390, 450, 520], [580, 700, 1000]];
     for (round, cuts) in cuts.into_iter().enumerate() {
@@ -317,7 +317,7 @@ async fn the_client_in_python_comes_again_when_it_is_asked_to() {
         return;
     }
     let server = Server::start(&Coverage::default()).await;
-    let key = server.key(&[Scope::Read, Scope::ScenesWrite, Scope::JobsWrite]).await;
+    let key = server.key(&[Scope::Read, Scope::DatasetsWrite, Scope::JobsWrite]).await;
     let many =
         "HTTP/1.1 429 Too Many Requests\r\nRetry-After: 0\r\nContent-Length: 0\r\nConnection: close\r\n\r\n";
     let busy = "HTTP/1.1 503 Service Unavailable\r\nRetry-After: 1\r\nContent-Length: 0\r\nConnection: close\r\n\r\n";

@@ -197,7 +197,7 @@ pub(super) async fn a_browser_shows_its_key_by_basic_and_changes_nothing_by_it(c
         .send("GET", &report, |request| request.header("authorization", &by_basic).bearer_auth(&key.key));
     both.await.expect_problem(401, "invalid-key");
 
-    let narrow = server.key(&[Scope::ScenesWrite]).await;
+    let narrow = server.key(&[Scope::DatasetsWrite]).await;
     let answer = with_header(&server, "GET", "/v1/jobs", &basic(b"me", &narrow.key)).await;
     answer.expect_problem(403, "insufficient-scope");
     let other = server.key(&[Scope::Read]).await;
@@ -453,7 +453,7 @@ async fn possessions(server: &Server, key: &TestKey) -> Vec<(String, String)> {
 
 pub(super) async fn what_is_anothers_is_not_there(coverage: Coverage) {
     let server = Server::start(&coverage).await;
-    let all_but_admin = [Scope::Read, Scope::ScenesWrite, Scope::JobsWrite];
+    let all_but_admin = [Scope::Read, Scope::DatasetsWrite, Scope::JobsWrite];
     let owner = server.key(&all_but_admin).await;
     let things = possessions(&server, &owner).await;
     let other = server.key(&all_but_admin).await;
@@ -563,7 +563,7 @@ async fn a_clock_that_is_set_back_delays_no_request() {
 async fn a_project_has_a_ceiling_for_the_priority_of_its_jobs() {
     let setup = || Setup { worker: false, ..Setup::default() };
     let server = Server::start_with(&Coverage::default(), setup()).await;
-    let scopes = [Scope::Read, Scope::JobsWrite, Scope::ScenesWrite];
+    let scopes = [Scope::Read, Scope::JobsWrite, Scope::DatasetsWrite];
     let ceiling = |most| ProjectLimits { max_priority: Some(most), ..ProjectLimits::default() };
     server.upload("?priority=100", "succeed").await.expect(201);
     let (plain, high, low, admin) = (

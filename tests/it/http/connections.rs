@@ -186,7 +186,7 @@ async fn whatever_is_answered_reaches_a_client_that_sends_its_whole_body_first()
     let seen = send_whole_bodies_first(&server, typed).await;
     assert!([200, 204, 400, 404, 405].iter().all(|status| seen.contains(status)), "{seen:?}");
 
-    let narrow = server.key(&[Scope::ScenesWrite]).await;
+    let narrow = server.key(&[Scope::DatasetsWrite]).await;
     let slow = server.key_at_rate(&Scope::ALL, NonZeroU32::MIN).await;
     for (key, status) in [(None, 401), (Some(narrow.key), 403), (Some(slow.key), 429)] {
         let header = key.map(|key| format!("Authorization: Bearer {key}\r\n")).unwrap_or_default();

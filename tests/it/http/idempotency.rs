@@ -48,7 +48,7 @@ pub(super) async fn a_request_that_is_sent_again_makes_nothing_again(coverage: C
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_key_is_its_projects_and_stands_for_one_path() {
     let server = Server::start_with(&Coverage::default(), Setup { worker: false, ..Setup::default() }).await;
-    let scopes = [Scope::Read, Scope::ScenesWrite, Scope::JobsWrite];
+    let scopes = [Scope::Read, Scope::DatasetsWrite, Scope::JobsWrite];
     let [one, other] = [server.key(&scopes).await, server.key(&scopes).await];
     let send = async |path: &str, key: &TestKey| {
         let sent = server.send("POST", path, |request| {

@@ -62,7 +62,7 @@ pub(super) async fn a_job_is_made_of_a_scene_by_json(coverage: Coverage) {
     let detail = server.post_json("/v1/jobs", &other).await.expect_problem(404, "scene-not-found");
     assert!(detail.contains(other["scene_id"].as_str().expect("an id")), "{detail}");
     for (fields, kind, named) in [
-        (json!({}), "invalid-parameter", "scene_id"),
+        (json!({}), "invalid-parameter", "dataset_id"),
         (json!({ "scene_id": "mine" }), "invalid-parameter", "scene_id"),
         (json!({ "scene_id": scene, "priority": 101 }), "invalid-parameter", "priority"),
         (json!({ "scene_id": scene, "deadline_s": 0 }), "invalid-parameter", "deadline_s"),

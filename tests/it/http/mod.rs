@@ -115,6 +115,8 @@ scenarios! {
     }
     scenes {
         a_dataset_is_kept_once_and_found_again,
+        both_names_of_datasets_mean_the_same,
+        a_scope_on_datasets_is_that_on_scenes,
         what_cannot_be_a_scene_is_refused_before_there_is_one,
         a_body_is_held_to_its_announced_digest,
         a_scene_sent_twice_with_one_key_is_made_once,

@@ -14,7 +14,7 @@ use crate::support::{
     server::{Answer, Server, Setup, TestKey},
 };
 
-const WRITES: [Scope; 3] = [Scope::Read, Scope::ScenesWrite, Scope::JobsWrite];
+const WRITES: [Scope; 3] = [Scope::Read, Scope::DatasetsWrite, Scope::JobsWrite];
 
 fn idle() -> Setup {
     Setup { worker: false, ..Setup::default() }

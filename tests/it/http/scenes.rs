@@ -50,6 +50,60 @@ pub(super) async fn a_dataset_is_kept_once_and_found_again(coverage: Coverage) {
     keep(&server, &longest, "succeed with the longest name").await.expect(201);
 }
 
+pub(super) async fn both_names_of_datasets_mean_the_same(coverage: Coverage) {
+    let server = Server::start_with(&coverage, idle()).await;
+    let made = server.send("POST", "/v1/datasets?name=Garden", |request| {
+        request.header("content-type", "application/zip").body("succeed")
+    });
+    let made = made.await.expect(201);
+    let dataset = made.json();
+    let id = dataset["id"].as_str().expect("an id");
+    let links = json!({ "self": format!("/v1/datasets/{id}"), "jobs": format!("/v1/jobs?dataset_id={id}") });
+    assert_eq!((made.header("location"), &dataset["links"]), (&*format!("/v1/datasets/{id}"), &links));
+    assert_eq!(server.get(made.header("location")).await.expect(200).json(), dataset);
+    assert_eq!(server.get("/v1/datasets").await.expect(200).json()["datasets"], json!([dataset]));
+
+    let mut scene = server.get(&format!("/v1/scenes/{id}")).await.expect(200).json();
+    let earlier = json!({ "self": format!("/v1/scenes/{id}"), "jobs": format!("/v1/jobs?scene_id={id}") });
+    assert_eq!(std::mem::replace(&mut scene["links"], links), earlier);
+    assert_eq!(scene, dataset, "but for its links");
+
+    for name in ["dataset_id", "scene_id"] {
+        let job = server.post_json("/v1/jobs", &json!({ name: id })).await.expect(201).json();
+        assert_eq!((&job["dataset_id"], &job["scene_id"]), (&json!(id), &json!(id)));
+    }
+    for name in ["dataset_id", "scene_id"] {
+        let jobs = server.get(&format!("/v1/jobs?{name}={id}")).await.expect(200).json();
+        assert_eq!(jobs["jobs"].as_array().map(Vec::len), Some(2), "{name}");
+    }
+    let two = format!("/v1/jobs?dataset_id={id}&scene_id={}", Uuid::now_v7());
+    let detail = server.get(&two).await.expect_problem(422, "invalid-parameter");
+    assert!(detail.contains("another dataset"), "{detail}");
+    server
+        .send("DELETE", &format!("/v1/datasets/{id}"), |request| request)
+        .await
+        .expect_problem(409, "scene-in-use");
+}
+
+pub(super) async fn a_scope_on_datasets_is_that_on_scenes(coverage: Coverage) {
+    let server = Server::start_with(&coverage, idle()).await;
+    let admin = server.key(&[Scope::Admin]).await;
+    let body = json!({ "name": "sender", "scopes": ["datasets:write"] });
+    let made = server.send("POST", "/v1/keys", |request| request.bearer_auth(&admin.key).json(&body));
+    let made = made.await.expect(201).json();
+    assert_eq!(made["scopes"], json!(["scenes:write"]));
+    let key = made["key"].as_str().expect("the key");
+    for path in ["/v1/datasets", "/v1/scenes"] {
+        let sent = server.send("POST", path, |request| {
+            request.bearer_auth(key).header("content-type", "application/zip").body("succeed")
+        });
+        let status = sent.await;
+        status.expect(if path == "/v1/datasets" { 201 } else { 200 });
+        let listed = server.send("GET", path, |request| request.bearer_auth(key));
+        listed.await.expect_problem(403, "insufficient-scope");
+    }
+}
+
 pub(super) async fn what_cannot_be_a_scene_is_refused_before_there_is_one(coverage: Coverage) {
     let server = Server::start_with(&coverage, idle()).await;
     let bad = keep(&server, "", "bad zip").await.expect(422).json();
@@ -193,7 +247,7 @@ pub(super) async fn a_scene_is_deleted_once_no_job_needs_it(coverage: Coverage) 
 
 pub(super) async fn scenes_of_another_key_are_not_there_and_bytes_have_a_quota(coverage: Coverage) {
     let server = Server::start_with(&coverage, idle()).await;
-    let scopes = [Scope::Read, Scope::ScenesWrite];
+    let scopes = [Scope::Read, Scope::DatasetsWrite];
     let one =
         server.key_with(&scopes, ProjectLimits { quota_bytes: Some(16), ..ProjectLimits::default() }).await;
     let other = server.key(&scopes).await;

@@ -78,7 +78,7 @@ impl Seen {
         let known = server.key(&Scope::ALL).await;
         let revoked = server.key(&[Scope::Admin]).await;
         server.revoke(&revoked).await;
-        let narrow = server.key(&[Scope::ScenesWrite]).await;
+        let narrow = server.key(&[Scope::DatasetsWrite]).await;
         let post = async |path: &str, body: Value| {
             let request = server.send("POST", path, |request| request.bearer_auth(&known.key).json(&body));
             request.await.expect(201).json()

@@ -424,8 +424,8 @@ pub(super) async fn room_is_kept_from_the_beginning(coverage: Coverage) {
     create(1 << 50, None).await.expect_problem(507, "storage-full");
 
     let limits = ProjectLimits { quota_bytes: Some(100), ..ProjectLimits::default() };
-    let key = server.key_with(&[Scope::ScenesWrite], limits).await;
-    let other = server.key(&[Scope::ScenesWrite]).await;
+    let key = server.key_with(&[Scope::DatasetsWrite], limits).await;
+    let other = server.key(&[Scope::DatasetsWrite]).await;
     let first = create(60, Some(key.key.clone())).await.expect(201);
     let detail = create(41, Some(key.key.clone())).await.expect_problem(507, "quota-exceeded");
     assert!(detail.contains("60 are stored or reserved"), "{detail}");
