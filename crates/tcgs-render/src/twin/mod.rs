@@ -1,25 +1,19 @@
 //! The renderer on the CPU in f64: every kernel has a function of the same name here. Kernels are tested against these, and these
 //! against independent values and central differences.
 
-mod depth;
-mod lists;
+mod dense;
 pub mod neural;
-mod pack_image;
+mod picture;
 pub mod plain;
-mod project;
-mod project_backward;
-mod raster_backward;
-mod raster_forward;
+mod raster;
 
 use glam::{DVec2, DVec3};
 
-pub use depth::shade_depth;
-pub use lists::{TileLists, compact, emit, tile_counts, tile_lists, tile_ranges, touches};
-pub use pack_image::pack_image;
-pub use project::{project, rotation};
-pub use project_backward::{clear_culled, project_backward};
-pub use raster_backward::{gather, raster_backward};
-pub use raster_forward::{BlendedImage, raster_forward};
+pub use picture::{pack_image, shade_depth};
+pub use raster::{
+    BlendedImage, TileLists, clear_culled, compact, emit, gather, project, project_backward, raster_backward,
+    raster_forward, rotation, tile_counts, tile_lists, tile_ranges, touches,
+};
 
 use super::Projection;
 

@@ -2,22 +2,42 @@
 //!
 //! A column holds the values of one visible anchor, in the order of the kernels' rows.
 
-mod dense;
-mod spawn;
-mod visibility;
+mod anchor_row;
+mod anchor_statistics;
+mod anchor_visible;
+mod compact_anchors;
+mod count_gaussians;
+mod count_visible_anchors;
+mod feature_gradient;
+mod list_visible_anchors;
+mod network_input;
+mod opaque_anchors;
+mod output_column;
+mod spawn_gaussians;
+mod spawn_gradient;
+mod visible_offsets;
+mod volume;
 
 use glam::DVec3;
 
-pub use dense::{
+pub use anchor_statistics::anchor_statistics;
+pub use anchor_visible::anchor_visible;
+pub use compact_anchors::compact_anchors;
+pub use count_gaussians::count_gaussians;
+pub use count_visible_anchors::count_visible_anchors;
+pub use feature_gradient::feature_gradient;
+pub use list_visible_anchors::list_visible_anchors;
+pub use network_input::network_input;
+pub use opaque_anchors::opaque_anchors;
+pub use spawn_gaussians::spawn_gaussians;
+pub use spawn_gradient::spawn_gradient;
+pub use visible_offsets::visible_offsets;
+pub use volume::volume;
+
+pub use super::dense::{
     dense, dense_input_gradient, dense_software, dense_weight_gradient, dense_weight_gradient_software,
     pack_weights, relu, relu_gate, sum_partials, sum_weight_gradient,
 };
-pub use spawn::{count_gaussians, spawn_gaussians, spawn_gradient, visible_offsets, volume};
-pub use visibility::{
-    anchor_statistics, anchor_visible, compact_anchors, count_visible_anchors, feature_gradient,
-    list_visible_anchors, network_input, opaque_anchors,
-};
-
 use super::{Gaussian, GaussianGradient, Projection};
 use crate::{
     domain::SceneScale,
@@ -128,7 +148,7 @@ pub fn neural_forward(projection: &Projection, anchors: &Anchors) -> NeuralForwa
     spawned
 }
 
-/// From the gradients by Gaussians to those by anchors and networks, with `volume_weight` times the gradient of [`volume`].
+/// From the gradients by Gaussians to those by anchors and networks, with `volume_weight` times the gradient of [`volume`](fn@volume).
 #[must_use]
 pub fn neural_backward(
     anchors: &Anchors,

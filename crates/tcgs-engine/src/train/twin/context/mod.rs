@@ -1,11 +1,46 @@
-//! The context model on the CPU in f64.
+//! The context model, quantization and the rate term on the CPU in f64.
 
+mod context_input;
+mod conv_down;
+mod conv_up;
+mod conv_weight_gradient;
 mod convolution;
+mod corners;
+mod freeze_quant_steps;
+mod frozen_quant_step_gradient;
+mod gaussian;
+mod neighbour_gradient;
 mod net;
-mod sampling;
-mod weights;
+mod plane_gradient;
+mod plane_l1;
+mod quantise_gradient;
+mod quantise_rows;
+mod quantiser;
+mod rate;
+mod refresh_quant_steps;
+mod round_latents;
+mod round_rows;
+mod round_weights;
+mod step_octaves;
+mod sum_bits;
 
-pub use convolution::{conv_down, conv_up, conv_weight_gradient};
+pub use context_input::context_input;
+pub use conv_down::conv_down;
+pub use conv_up::conv_up;
+pub use conv_weight_gradient::conv_weight_gradient;
+pub use freeze_quant_steps::freeze_quant_steps;
+pub use frozen_quant_step_gradient::frozen_quant_step_gradient;
+pub use gaussian::{SymbolBits, symbol_bits};
+pub use neighbour_gradient::neighbour_gradient;
 pub use net::{ContextForward, ContextTwin};
-pub use sampling::{context_input, neighbour_gradient, plane_gradient};
-pub use weights::{plane_l1, round_latents, round_weights};
+pub use plane_gradient::plane_gradient;
+pub use plane_l1::plane_l1;
+pub use quantise_gradient::quantise_gradient;
+pub use quantise_rows::quantise_rows;
+pub use quantiser::noise;
+pub use rate::{RateGradients, RateInput, rate};
+pub use refresh_quant_steps::refresh_quant_steps;
+pub use round_latents::round_latents;
+pub use round_rows::round_rows;
+pub use round_weights::round_weights;
+pub use sum_bits::sum_bits;

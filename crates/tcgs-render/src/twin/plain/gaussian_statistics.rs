@@ -1,0 +1,21 @@
+//! The statistics of the growth of plain Gaussians.
+
+use glam::DVec2;
+
+use crate::Projection;
+
+/// Adds one view to a Gaussian's row of statistics: sum of screen-gradient norms in half-image units, count of views,
+/// largest radius in pixels. `center` is the gradient by the projected centre; a Gaussian of no `tiles` is culled.
+pub fn gaussian_statistics(
+    projection: &Projection,
+    center: DVec2,
+    tiles: u32,
+    radius: f64,
+    row: &mut [f64; 3],
+) {
+    if tiles > 0 {
+        row[0] += (center * 0.5 * projection.size.as_dvec2()).length();
+        row[1] += 1.0;
+        row[2] = row[2].max(radius);
+    }
+}
