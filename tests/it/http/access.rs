@@ -431,6 +431,7 @@ async fn possessions(server: &Server, key: &TestKey) -> Vec<(String, String)> {
     all.push(("/v1/artifacts/{".to_owned(), digest));
     all.push(("/v1/projects/{".to_owned(), done["project_id"].as_str().expect("a project").to_owned()));
     for (prefix, media_type, body) in [
+        ("/v1/datasets", "application/zip", "succeed with a dataset"),
         ("/v1/scenes", "application/zip", "succeed with a scene"),
         ("/v1/uploads", "application/offset+octet-stream", ""),
         ("/v1/webhook-endpoints", "application/json", r#"{"url": "https://example.com/hook"}"#),
