@@ -6,7 +6,7 @@ use serde_json::{Value, json};
 use tcgs::domain::{TRAIN_OPTIONS, TrainOption, options::OptionKind};
 
 /// Parameters of a job that are no training options.
-const OF_THE_QUEUE: [&str; 5] = ["scene_id", "priority", "deadline_s", "name", "metadata"];
+const OF_THE_QUEUE: [&str; 6] = ["dataset_id", "scene_id", "priority", "deadline_s", "name", "metadata"];
 
 /// JSON readers with 64-bit floats alone have no larger integers, so the API takes none.
 const LARGEST_IN_JSON: u64 = (1 << 53) - 1;
