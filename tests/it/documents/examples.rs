@@ -19,6 +19,7 @@ use crate::support::{
     fakes,
     server::{Server, TestKey},
     skip::skip,
+    tree::text,
 };
 
 const KEY: &str = "TCGS_API_KEY";
@@ -72,12 +73,9 @@ fn the_examples_in_rust_train_a_scene_and_render_it() {
     let picture = fs::read(picture).expect("a picture");
     // Width and height of a PNG follow its signature and the name of its first chunk.
     assert_eq!(picture[16..24], [0, 0, 3, 32, 0, 0, 2, 88], "800 x 600");
-    assert!(example_lines("train") <= 40 && example_lines("render") <= 40);
-}
-
-fn example_lines(name: &str) -> usize {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("examples").join(format!("{name}.rs"));
-    fs::read_to_string(path).expect("readable").lines().count()
+    for name in ["train", "render"] {
+        assert!(text(&format!("examples/{name}.rs")).lines().count() <= 40, "{name}");
+    }
 }
 
 /// The session with curl.

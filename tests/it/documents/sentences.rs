@@ -19,16 +19,15 @@ fn paragraphs(text: &str) -> Vec<String> {
     let mut paragraphs = vec![String::new()];
     let mut is_code = false;
     for line in text.lines().map(str::trim) {
-        if line.starts_with("```") {
-            is_code = !is_code;
-        }
-        let is_prose = !is_code && !line.is_empty() && !line.starts_with(['|', '#', '<', '`']);
+        let is_fence = line.starts_with("```");
+        is_code ^= is_fence;
+        let is_prose = !is_code && !is_fence && !line.is_empty() && !line.starts_with(['|', '#', '<']);
         let item = line.trim_start_matches(|c: char| c.is_ascii_digit()).trim_start_matches(['-', '*', '.']);
         let is_item = item.len() < line.len() && item.starts_with(' ');
-        if !is_prose && !line.starts_with('`') || is_code || is_item {
+        if !is_prose || is_item {
             paragraphs.push(String::new());
         }
-        if is_prose || (line.starts_with('`') && !line.starts_with("```") && !is_code) {
+        if is_prose {
             let paragraph = paragraphs.last_mut().expect("one at least");
             paragraph.push_str(if is_item { item } else { line });
             paragraph.push(' ');
