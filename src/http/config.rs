@@ -8,7 +8,7 @@ use std::{
 
 use thiserror::Error;
 
-use super::server::client_address::TrustedProxies;
+use super::client_address::TrustedProxies;
 use crate::domain::{OutboundPolicy, with_defaults};
 
 with_defaults! {

@@ -5,20 +5,24 @@
 //! its handler. This layer knows no workers, SQL or GPU.
 
 mod auth;
+mod client_address;
 pub mod config;
 mod datasets;
 mod files;
 mod jobs;
 mod keys;
+mod meters;
 mod metrics;
 #[doc(hidden)]
 pub mod parsers;
 mod problem;
 mod projects;
+mod rendering;
 mod report;
 mod request;
 mod server;
-mod slots;
+mod services;
+mod shared;
 mod state;
 mod uploads;
 mod usage;
@@ -33,10 +37,11 @@ use axum::{
 };
 use tower_http::catch_panic::CatchPanicLayer;
 
+pub use client_address::{ProxyNetwork, TrustedProxies};
 pub use config::HttpConfig;
-pub use server::client_address::{ProxyNetwork, TrustedProxies};
 pub use server::{Listeners, ServeError, bind, serve};
-pub use state::{AppState, Services};
+pub use services::Services;
+pub use state::AppState;
 pub use viewer::{ViewerConfig, ViewerServices, serve as serve_viewer};
 
 /// Every route of the API.
@@ -47,6 +52,18 @@ pub fn router(state: AppState) -> Router {
 /// Every route of the API except the metrics, if they have a listener of their own.
 fn router_without_metrics(state: AppState) -> Router {
     routes(state, Router::new())
+}
+
+/// The routes of a listener for metrics only; one on loopback answers under any host name that leads there.
+fn metrics_router(state: AppState, on_loopback: bool) -> Router {
+    Router::new()
+        .route("/metrics", get(metrics::get))
+        .route("/healthz", get(server::health::healthz))
+        .layer(from_fn_with_state(on_loopback, auth::admit_without_keys))
+        .layer(from_fn(server::head::bounded))
+        .layer(from_fn(server::drain_body::drain_unread))
+        .layer(from_fn_with_state(state.clone(), server::middleware::wrap))
+        .with_state(state)
 }
 
 fn routes(state: AppState, more: Router<AppState>) -> Router {

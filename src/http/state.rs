@@ -1,58 +1,25 @@
-//! State shared by the handlers. Its services are passed in, so that tests can replace them and layers stay separate.
+//! State shared by the handlers: the services, the limits, and one of each part that requests share.
 
 use std::{fmt, ops::Deref, sync::Arc};
 
-use bytes::Bytes;
-use tokio::{runtime::Handle, sync::Semaphore};
+use tokio::sync::Semaphore;
 use tokio_util::sync::CancellationToken;
-use uuid::{NoContext, Uuid};
 
 use super::{
-    auth::{AuthMode, throttle::Throttle},
     config::RequestLimits,
-    files::exports::ExportQueue,
-    jobs::watcher::Watcher,
-    metrics::{Cache, Meters},
+    meters::Meters,
     problem::{ApiResult, ProblemResponse},
-    request::{Reservations, idempotency::InFlight},
-    server::readiness::Checks,
-    slots::{Capacity, Slot, Slots},
-    views::ViewRenderer,
+    rendering::ViewRenderer,
+    services::Services,
+    shared::{
+        AuthMode, Capacity, Checks, ExportQueue, InFlight, Reservations, Slot, Slots, StatsCache, Throttle,
+        Watcher,
+    },
 };
 use crate::{
-    domain::{Clock, Digest, KeyId, Problem, ProjectId, RandomSource, Workers},
-    engine::SceneEngine,
+    domain::{KeyId, ProjectId},
     store::{Blobs, Store},
 };
-
-/// The services that the handlers use.
-#[derive(Clone)]
-pub struct Services {
-    /// Jobs and events.
-    pub store: Arc<dyn Store>,
-    /// Datasets and results.
-    pub blobs: Blobs,
-    /// Time.
-    pub clock: Arc<dyn Clock>,
-    /// Cryptographic randomness.
-    pub entropy: Arc<dyn RandomSource>,
-    /// Checks, views and exports.
-    pub engine: Arc<dyn SceneEngine>,
-    /// The worker processes.
-    pub workers: Arc<dyn Workers>,
-}
-
-impl Services {
-    /// The content of a blob; blocks.
-    pub(super) fn read(&self, runtime: &Handle, digest: Digest) -> Result<Bytes, Problem> {
-        read_blob(&self.blobs, runtime, digest)
-    }
-}
-
-/// The content of a blob; blocks on `runtime`.
-pub(super) fn read_blob(blobs: &Blobs, runtime: &Handle, digest: Digest) -> Result<Bytes, Problem> {
-    runtime.block_on(blobs.read(digest)).map_err(|error| ProblemResponse::from(error).into_problem())
-}
 
 /// The handlers' shared state; clones share it.
 #[derive(Clone)]
@@ -67,10 +34,10 @@ pub struct App {
     pub(super) checks: Arc<Semaphore>,
     pub(super) view_renderer: ViewRenderer,
     pub(super) meters: Meters,
-    pub(super) metrics_cache: Cache,
+    pub(super) stats: StatsCache,
     pub(super) readiness: Checks,
     pub(super) watcher: Watcher,
-    pub(super) in_flight: Arc<InFlight>,
+    pub(super) in_flight: InFlight,
     pub(super) exports: ExportQueue,
     /// Permits for requests that wait for a job.
     pub(super) waits: Semaphore,
@@ -102,12 +69,18 @@ impl AppState {
     pub fn new(services: Services, limits: RequestLimits, draining: CancellationToken) -> Self {
         // A project that sends slowly leaves places to the others.
         let uploads = Slots::new(Capacity::shared(limits.uploads));
-        let view_renderer = ViewRenderer::new(&limits);
+        let meters = Meters::default();
+        let view_renderer = ViewRenderer::new(&limits, services.clone(), meters.clone());
         let throttle = Throttle::new(Arc::clone(&services.clock), limits.access.clone());
         let checks = Arc::new(Semaphore::new(limits.checks));
         let waits = Semaphore::new(limits.waits);
         let exports = ExportQueue::new(limits.exports, limits.exports_waiting);
         let watcher = Watcher::new(Arc::clone(&services.store), limits.watch_interval);
+        let (store, blobs) = (Arc::clone(&services.store), services.blobs.clone());
+        let stats = StatsCache::new(Arc::clone(&store));
+        let auth_mode = AuthMode::new(Arc::clone(&store), limits.access.without_keys);
+        let readiness = Checks::new(Arc::clone(&store), blobs.clone(), limits.min_free_space);
+        let reservations = Reservations::new(store, blobs, limits.min_free_space);
         let event_streams =
             Slots::new(Capacity { all: limits.event_streams, each: limits.event_streams_per_key });
         Self(Arc::new(App {
@@ -116,18 +89,18 @@ impl AppState {
             uploads,
             checks,
             view_renderer,
-            meters: Meters::default(),
-            metrics_cache: Cache::default(),
-            readiness: Checks::default(),
+            meters,
+            stats,
+            readiness,
             watcher,
-            in_flight: Arc::default(),
+            in_flight: InFlight::default(),
             exports,
             waits,
             event_streams,
             draining,
-            auth_mode: AuthMode::default(),
+            auth_mode,
             throttle,
-            reservations: Reservations::default(),
+            reservations,
         }))
     }
 
@@ -151,13 +124,5 @@ impl AppState {
             };
             ProblemResponse::busy(detail)
         })
-    }
-
-    /// A UUID of version 7 whose time is the service's clock, so that ids sort in the order of creation.
-    pub(super) fn new_uuid(&self) -> Uuid {
-        let now = self.services.clock.now();
-        let seconds = u64::try_from(now.as_second()).unwrap_or(0);
-        let nanoseconds = u32::try_from(now.subsec_nanosecond()).unwrap_or(0);
-        Uuid::new_v7(uuid::Timestamp::from_unix(NoContext, seconds, nanoseconds))
     }
 }

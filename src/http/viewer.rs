@@ -25,10 +25,10 @@ use tower_http::catch_panic::CatchPanicLayer;
 
 use super::{
     HttpConfig,
-    metrics::Meters,
+    meters::Meters,
     problem::internal,
     server::{accept, health},
-    state::read_blob,
+    services::read_blob,
 };
 use crate::{
     domain::{Problem, ProblemType, ViewerToken},

@@ -60,7 +60,7 @@ pub(super) async fn create(
     let secret = WebhookSecret::generate(&*state.services.entropy)
         .map_err(|error| ProblemResponse::internal(&error))?;
     let new = NewEndpoint {
-        id: EndpointId(state.new_uuid()),
+        id: EndpointId(state.services.new_uuid()),
         project: caller.project,
         url: url.into(),
         events: wanted(events)?,

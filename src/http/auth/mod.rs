@@ -17,9 +17,6 @@ pub(super) mod cross_site;
 mod host;
 pub(super) mod revocation;
 mod scopes;
-pub(super) mod throttle;
-
-use std::sync::atomic::{AtomicBool, Ordering};
 
 use axum::{
     extract::{MatchedPath, Request, State},
@@ -33,14 +30,11 @@ use self::{
     cross_site::{FollowedLink, RequestOrigin},
     host::{Hosts, only},
     scopes::Access,
-    throttle::Wait,
 };
 use super::{
+    client_address::{ClientAddress, TrustedProxies},
     problem::{Answer as _, ApiResult, ProblemResponse},
-    server::{
-        client_address::{ClientAddress, TrustedProxies},
-        drain_body::Authenticated,
-    },
+    shared::Wait,
     state::AppState,
 };
 use crate::{
@@ -48,35 +42,9 @@ use crate::{
     store::KeyRecord,
 };
 
-/// Whether the service requires keys: whether the database had any when last read. Keys are never removed from it.
-#[derive(Debug, Default)]
-pub(super) struct AuthMode(AtomicBool);
-
-impl AuthMode {
-    /// Reads whether there are keys, before the first request.
-    pub(super) async fn load(&self, state: &AppState) {
-        if let Err(fault) = self.allows_anonymous(state).await {
-            tracing::warn!("cannot read yet whether there are keys: {fault:?}");
-        }
-    }
-
-    /// Whether there were keys when last read.
-    fn requires_keys(&self) -> bool {
-        self.0.load(Ordering::Relaxed)
-    }
-
-    async fn allows_anonymous(&self, state: &AppState) -> ApiResult<bool> {
-        if self.requires_keys() {
-            return Ok(false);
-        }
-        if state.limits.access.without_keys {
-            return Ok(true);
-        }
-        let closed = state.store().has_keys().await?;
-        self.0.store(closed, Ordering::Relaxed);
-        Ok(!closed)
-    }
-}
+/// Marks the response to a request that passed [`authenticate`].
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Authenticated;
 
 /// Passes a request to its handler, or refuses it.
 pub(super) async fn authenticate(
@@ -97,7 +65,7 @@ pub(super) async fn authenticate(
     let open = if is_open_to_all {
         Ok(!state.auth_mode.requires_keys())
     } else {
-        state.auth_mode.allows_anonymous(&state).await
+        state.auth_mode.allows_anonymous().await
     };
     if let Err(fault) = admit_page(&mut request, &open, &credentials) {
         return fault.into_response();

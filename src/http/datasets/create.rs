@@ -20,10 +20,10 @@ use crate::{
     http::{
         problem::{Answer as _, ApiResult, ProblemResponse},
         request::{
-            CreateOutcome, CreateRequest, JsonBody, Parameters, Reservations, Resource, content_digest,
-            expect_no_coding, idempotency, idempotent, media_type, parse_json, read_json,
+            CreateOutcome, CreateRequest, JsonBody, Parameters, Resource, content_digest, expect_no_coding,
+            idempotency, idempotent, media_type, parse_json, read_json,
         },
-        slots::Slot,
+        shared::Slot,
         state::AppState,
         uploads::{self, tus::Metadata},
     },
@@ -172,7 +172,7 @@ async fn assemble(
 ) -> ApiResult<(ReceivedDataset, Slot<ProjectId>)> {
     let slot = state.upload_slot(upload.project)?;
     let _reservation = match state.blobs().shared_files() {
-        Some(_) => Some(Reservations::reserve_disk(state, upload.length).await?),
+        Some(_) => Some(state.reservations.reserve_disk(upload.length).await?),
         None => None,
     };
     Ok((ReceivedDataset::of_upload(file.finish(upload.length).await?), slot))
@@ -191,7 +191,15 @@ async fn keep(
         Some(known) => (received, known.summary),
         None => received.check(state).await?,
     };
-    let new = NewDataset { id: DatasetId(state.new_uuid()), project, name, dataset, summary, upload, intent };
+    let new = NewDataset {
+        id: DatasetId(state.services.new_uuid()),
+        project,
+        name,
+        dataset,
+        summary,
+        upload,
+        intent,
+    };
     let store = Arc::clone(&state.services.store);
     let created = received.keep(state, async move { store.create_dataset(new).await }).await?;
     Ok(created.map(|creation| match creation {

@@ -15,7 +15,8 @@ use crate::{
     domain::{DatasetSummary, ProjectId},
     http::{
         problem::{ApiResult, ProblemResponse},
-        request::{Pieces, Reservation, ReservationError, Reservations, announced_length},
+        request::{Pieces, announced_length},
+        shared::{Reservation, ReservationError},
         state::AppState,
     },
     store::{
@@ -67,7 +68,7 @@ pub(crate) async fn receive(
 
 impl Sink {
     async fn open(state: &AppState, project: ProjectId, announced: u64) -> ApiResult<Self> {
-        match Reservations::reserve(state, project, announced).await {
+        match state.reservations.reserve(project, announced).await {
             Ok(reservation) => {
                 Ok(Self::Disk(state.blobs().stage(state.limits.upload_bytes).await?, reservation))
             }
@@ -86,7 +87,7 @@ impl Sink {
         match self {
             Self::Disk(mut staging, mut reservation) => {
                 let length = piece.len() as u64;
-                match reservation.cover(state, length).await {
+                match reservation.cover(length).await {
                     Ok(()) => {
                         staging.write(piece).await?;
                         reservation.wrote(length);

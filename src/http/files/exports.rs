@@ -1,13 +1,6 @@
 //! `GET /v1/jobs/{id}/export`: a finished scene in a format that other programs read, created on first request.
 //!
-//! Invariants: a scene is exported to a format once, however many requests ask for it at a time; running and waiting exports are
-//! bounded; a started export is finished and kept even if its client disconnects.
-
-use std::{
-    collections::BTreeMap,
-    fmt,
-    sync::{Mutex, PoisonError},
-};
+//! Invariant: a started export is finished and kept even if its client disconnects.
 
 use axum::{
     Extension,
@@ -15,27 +8,22 @@ use axum::{
     http::{HeaderMap, HeaderName, HeaderValue, Method},
 };
 use bytes::Bytes;
-use futures_util::{
-    FutureExt as _,
-    future::{BoxFuture, Shared},
-};
 use glam::DVec3;
-use tokio::{runtime::Handle, sync::Semaphore, task::spawn_blocking};
+use tokio::{runtime::Handle, task::spawn_blocking};
 
 use super::{
     download::{File, serve},
     file_of, take_lambda,
 };
 use crate::{
-    domain::{Digest, ExportFidelity, ExportedScene, JobId, NamedCamera, ProjectId, SceneFormat, SceneFrame},
+    domain::{Digest, ExportFidelity, ExportedScene, JobId, NamedCamera, SceneFormat, SceneFrame},
     engine::SceneSource,
     http::{
         auth::cross_site::{FollowedLink, refuse_followed_link},
         datasets::received::withdraw_blob,
         jobs::OwnedJob,
         problem::{ApiResult, ProblemResponse},
-        request::{Parameters, Reservations, require_free_space},
-        slots::{Capacity, Slots},
+        request::Parameters,
         state::AppState,
     },
     store::{ArtifactKind, ExportRecord, JobRecord},
@@ -49,35 +37,6 @@ const EXPORT_PSNR: HeaderName = HeaderName::from_static("x-export-psnr");
 
 /// Header: world coordinates of the origin of the export's coordinates, of a scene that is far out.
 const EXPORT_OFFSET: HeaderName = HeaderName::from_static("x-export-offset");
-
-/// Identifies an export: job, source file, name of the format.
-type ExportKey = (JobId, Digest, &'static str);
-
-type PendingExport = Shared<BoxFuture<'static, ApiResult<ExportRecord>>>;
-
-/// The exports in progress.
-pub(crate) struct ExportQueue {
-    /// Running and waiting exports, of which one project leaves places to the others.
-    slots: Slots<ProjectId>,
-    /// Running exports.
-    permits: Semaphore,
-    pending: Mutex<BTreeMap<ExportKey, PendingExport>>,
-}
-
-impl fmt::Debug for ExportQueue {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_struct("ExportQueue").field("slots", &self.slots).finish_non_exhaustive()
-    }
-}
-
-impl ExportQueue {
-    /// A queue that runs `at_once` exports while `waiting` more wait.
-    pub(crate) fn new(at_once: usize, waiting: usize) -> Self {
-        let at_once = at_once.max(1);
-        let slots = Slots::new(Capacity::shared(at_once + waiting));
-        Self { slots, permits: Semaphore::new(at_once), pending: Mutex::default() }
-    }
-}
 
 /// `GET` and `HEAD /v1/jobs/{id}/export`.
 pub(crate) async fn get(
@@ -143,17 +102,7 @@ async fn export(
     format: SceneFormat,
 ) -> ApiResult<ExportRecord> {
     let key = (record.job.id, source, format.name());
-    let pending = {
-        let mut pending = state.exports.pending.lock().unwrap_or_else(PoisonError::into_inner);
-        let begin = || {
-            // A task of its own: other requests may wait for it, and later ones use the result.
-            let task = tokio::spawn(make(state.clone(), record.clone(), source, format));
-            let ended = async { task.await.unwrap_or_else(|error| Err(ProblemResponse::internal(&error))) };
-            ended.boxed().shared()
-        };
-        pending.entry(key).or_insert_with(begin).clone()
-    };
-    pending.await
+    state.exports.join(key, make(state.clone(), record.clone(), source, format)).await
 }
 
 async fn existing_export(
@@ -166,19 +115,6 @@ async fn existing_export(
     Ok(exports.into_iter().find(|export| (export.source, export.format) == (source, format)))
 }
 
-/// Removes an export from those in progress when it ends.
-struct PendingGuard {
-    state: AppState,
-    key: ExportKey,
-}
-
-impl Drop for PendingGuard {
-    fn drop(&mut self) {
-        let mut pending = self.state.exports.pending.lock().unwrap_or_else(PoisonError::into_inner);
-        pending.remove(&self.key);
-    }
-}
-
 async fn make(
     state: AppState,
     record: JobRecord,
@@ -186,22 +122,14 @@ async fn make(
     format: SceneFormat,
 ) -> ApiResult<ExportRecord> {
     let job = record.job.id;
-    let _guard = PendingGuard { state: state.clone(), key: (job, source, format.name()) };
     // Another may have finished since the first lookup.
     if let Some(existing_export) = existing_export(&state, job, source, format).await? {
         return Ok(existing_export);
     }
     // The size is known, and reserved, once the file is written.
     state.store().admit_export(job).await?;
-    require_free_space(&state, 0)?;
-    let slots = &state.exports.slots;
-    let _slot = slots.take(record.project).map_err(|taken| {
-        ProblemResponse::busy(match taken.by_all < slots.capacity().all {
-            true => "too many of your project's exports are in progress",
-            false => "too many exports are in progress",
-        })
-    })?;
-    let _permit = state.exports.permits.acquire().await?;
+    state.reservations.require_free_space(0)?;
+    let _turn = state.exports.turn(record.project).await?;
     let cameras = cameras_of(&state, &record).await?;
     let (services, runtime) = (state.services.clone(), Handle::current());
     let exported = spawn_blocking(move || {
@@ -211,7 +139,7 @@ async fn make(
     let exported = exported.await;
     let exported = exported??;
     let ExportedScene { bytes, gaussians, sh_degree, fidelity } = exported;
-    let _reservation = Reservations::reserve(&state, record.project, bytes.len() as u64).await?;
+    let _reservation = state.reservations.reserve(record.project, bytes.len() as u64).await?;
     let published = state.blobs().put_new(Bytes::from(bytes)).await?;
     let blob = published.blob;
     let export = ExportRecord { job, source, format, blob, gaussians, sh_degree, fidelity };

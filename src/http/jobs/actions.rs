@@ -23,7 +23,6 @@ use crate::{
         problem::{Answer as _, ApiResult, ProblemResponse},
         request::{
             CreateOutcome, CreateRequest, IfMatch, JsonBody, idempotent, parse_json, read_optional_json,
-            require_free_space,
         },
         state::AppState,
     },
@@ -77,9 +76,9 @@ pub(crate) async fn retry(
         let RetryJobRequest { from_checkpoint, deadline_s } =
             content.as_deref().map(parse_json).transpose()?.unwrap_or_default();
         deadline_s.map(check_deadline).transpose()?;
-        require_free_space(&state, 0)?;
+        state.reservations.require_free_space(0)?;
         let repeat = RetryRequest {
-            id: JobId(state.new_uuid()),
+            id: JobId(state.services.new_uuid()),
             key: caller.key,
             from_checkpoint: from_checkpoint.unwrap_or(true),
             deadline_at: deadline(&state, deadline_s).await?,

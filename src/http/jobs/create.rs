@@ -21,7 +21,7 @@ use crate::{
         problem::{ApiResult, ProblemResponse},
         request::{
             CreateOutcome, CreateRequest, Parameters, Resource, expect_media_type, idempotency, idempotent,
-            media_type, prefer, read_json, require_free_space,
+            media_type, prefer, read_json,
         },
         state::AppState,
     },
@@ -91,7 +91,7 @@ async fn from_scene(
         let (id, wanted) = CreateJobRequest::from_json(&content)?;
         let scene = state.store().dataset(id).await?.filter(|scene| caller.may_see(scene.project));
         let scene = scene.ok_or_else(|| ProblemResponse::no_scene(id))?;
-        require_free_space(state, 0)?;
+        state.reservations.require_free_space(0)?;
         // An administrator's request may name another project's scene.
         let job = NewJob { project: scene.project, ..new_job(request, wanted, scene.dataset).await? };
         Ok(state.store().create_job(NewJob { dataset_id: Some(id), intent: intent.clone(), ..job }).await)
@@ -132,7 +132,7 @@ async fn new_job(
         metadata: wanted.metadata,
         priority: wanted.priority,
         deadline_at: deadline(state, wanted.deadline_s).await?,
-        ..NewJob::new(JobId(state.new_uuid()), wanted.options, dataset)
+        ..NewJob::new(JobId(state.services.new_uuid()), wanted.options, dataset)
     })
 }
 

@@ -19,7 +19,7 @@ use tokio_util::sync::CancellationToken;
 
 use crate::{
     domain::{Caller, Event, EventKind, JobId, JobState, KeyId},
-    http::{auth::revocation::revoked, metrics::GaugeGuard, slots::Slot, state::AppState},
+    http::{auth::revocation::revoked, meters::GaugeGuard, shared::Slot, state::AppState},
 };
 
 /// Events read at a time.

@@ -8,7 +8,6 @@ pub(super) mod event_stream;
 pub(super) mod events;
 pub(super) mod list;
 pub(super) mod series;
-pub(super) mod watcher;
 
 use axum::{
     Json,

@@ -4,19 +4,16 @@
 //! in flight is known to this process alone and ends with it, so a request cut off by a crash can simply be sent again. Between
 //! processes the store decides: of two requests with one key, one creates the resource and the other gets it.
 
-use std::{
-    collections::BTreeSet,
-    future::Future,
-    sync::{Arc, Mutex, PoisonError},
-};
+use std::future::Future;
 
 use axum::http::{HeaderMap, HeaderValue, Uri};
 use sha2::{Digest as _, Sha256};
 
 use crate::{
-    domain::{Caller, Digest, ProblemType, ProjectId},
+    domain::{Caller, Digest, ProblemType},
     http::{
         problem::{Answer as _, ApiResult, ProblemResponse},
+        shared::IdempotencyGuard,
         state::AppState,
     },
     store::{IdempotentRequest, PriorRequest, StoreError},
@@ -24,25 +21,6 @@ use crate::{
 
 const HEADER: &str = "idempotency-key";
 const MAX_KEY: usize = 255;
-
-type ScopedKey = (ProjectId, String);
-
-/// The keys of requests in flight.
-#[derive(Debug, Default)]
-pub(crate) struct InFlight(Mutex<BTreeSet<ScopedKey>>);
-
-/// A request's key, in flight until this is dropped.
-#[derive(Debug)]
-pub(crate) struct IdempotencyGuard {
-    in_flight: Arc<InFlight>,
-    key: ScopedKey,
-}
-
-impl Drop for IdempotencyGuard {
-    fn drop(&mut self) {
-        self.in_flight.0.lock().unwrap_or_else(PoisonError::into_inner).remove(&self.key);
-    }
-}
 
 /// A `POST` that creates something, without its body.
 #[derive(Debug, Clone, Copy)]
@@ -89,19 +67,18 @@ impl CreateRequest<'_> {
                 "Idempotency-Key: give one value of 1 to {MAX_KEY} printable ASCII characters"
             )));
         };
-        let key = (self.caller.project, key.to_owned());
-        let in_flight = &self.state.in_flight;
-        if !in_flight.0.lock().unwrap_or_else(PoisonError::into_inner).insert(key.clone()) {
-            return Err(ProblemType::IdempotencyInFlight.because(
+        let guard = self.state.in_flight.begin((self.caller.project, key.to_owned()));
+        let in_flight = || {
+            ProblemType::IdempotencyInFlight.because(
                 "another request with this Idempotency-Key is still being answered; ask again once it has been",
-            ));
-        }
-        Ok(Some(IdempotencyGuard { in_flight: Arc::clone(in_flight), key }))
+            )
+        };
+        guard.ok_or_else(in_flight).map(Some)
     }
 
     /// What the store remembers of a request whose body has this digest.
     pub(crate) fn intent(&self, guard: Option<&IdempotencyGuard>, body: Digest) -> Option<IdempotentRequest> {
-        let (project, key) = guard?.key.clone();
+        let (project, key) = guard?.key().clone();
         let mut hasher = Sha256::new();
         // Neither can hold a line break.
         hasher.update(format!("POST\n{}\n{}\n", self.uri.path(), self.uri.query().unwrap_or_default()));

@@ -9,7 +9,6 @@ mod pagination;
 pub(super) mod prefer;
 mod query;
 mod range;
-mod reservation;
 
 pub(super) use accept::{accepts, prefers};
 pub(super) use body::{
@@ -21,6 +20,3 @@ pub(super) use idempotency::{CreateOutcome, CreateRequest, Resource, idempotent}
 pub(super) use pagination::{Page, cursor, parse_cursor};
 pub(super) use query::Parameters;
 pub(super) use range::{ByteRange, parse_range};
-pub(super) use reservation::{
-    DiskReservation, Reservation, ReservationError, Reservations, require_free_space,
-};

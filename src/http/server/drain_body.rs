@@ -20,9 +20,7 @@ use futures_util::{StreamExt as _, stream};
 use hyper::body::Body as _;
 use tokio::time::timeout;
 
-/// Marks the response to a request that passed `auth`.
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct Authenticated;
+use crate::http::auth::Authenticated;
 
 /// How much of a body is drained, and for how long.
 struct DrainLimits {

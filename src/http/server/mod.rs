@@ -1,7 +1,6 @@
 //! The accept loop, with what `axum::serve` lacks: a header timeout, a limit on connections, a timeout for clients that stop reading,
 //! and a deadline for draining.
 
-pub(super) mod client_address;
 mod deadlines;
 pub(super) mod drain_body;
 pub(super) mod head;
@@ -34,16 +33,14 @@ use tokio::{
 use tokio_util::sync::CancellationToken;
 use tower::Layer as _;
 
-use self::{
-    client_address::ClientAddress,
-    stall_guard::{ReadRate, StallGuard},
-};
+use self::stall_guard::{ReadRate, StallGuard};
 use super::{
     AppState, Services,
+    client_address::ClientAddress,
     config::{ExposureError, HttpConfig},
-    metrics::{self, Meters},
-    router, router_without_metrics,
-    slots::{Capacity, Slots},
+    meters::Meters,
+    metrics_router, router, router_without_metrics,
+    shared::{Capacity, Slots},
 };
 
 const MAX_HEADERS: usize = 100;
@@ -121,14 +118,14 @@ pub async fn serve(
     let store = services.store.clone();
     tokio::spawn(deadlines::enforce(store, config.limits.deadline_check_interval, shutdown.clone()));
     let state = AppState::new(services, config.limits.clone(), shutdown.clone());
-    state.auth_mode.load(&state).await;
+    state.auth_mode.load().await;
     let closed = CancellationToken::new();
     let app = if listeners.metrics.is_some() { router_without_metrics } else { router };
     let api = Acceptor::new(app(state.clone()), &config, &state.meters);
     // Scrapers must be served even when clients have taken every permit.
     let metrics_on_loopback =
         config.metrics_listen.is_some_and(|address| address.ip().to_canonical().is_loopback());
-    let own = Acceptor::new(metrics::router(state.clone(), metrics_on_loopback), &config, &state.meters);
+    let own = Acceptor::new(metrics_router(state.clone(), metrics_on_loopback), &config, &state.meters);
     let notice = async {
         shutdown.cancelled().await;
         sleep(config.drain_notice).await;

@@ -20,7 +20,7 @@ use self::{
 };
 use super::{
     problem::{Answer as _, ApiResult, ProblemResponse},
-    request::{Parameters, Reservations, require_free_space},
+    request::Parameters,
     state::AppState,
 };
 use crate::{
@@ -127,8 +127,8 @@ async fn begin(
         return Err(ProblemResponse::too_large(limit).with_header(tus::MAX_SIZE, HeaderValue::from(limit)));
     }
     // Until the upload's own row reserves the space.
-    let _reservation = Reservations::reserve(state, caller.project, length).await?;
-    let id = UploadId(state.new_uuid());
+    let _reservation = state.reservations.reserve(caller.project, length).await?;
+    let id = UploadId(state.services.new_uuid());
     let expires_at = expiry(state).await?;
     let new = NewUpload { id, project: caller.project, length, metadata, expires_at };
     Ok(state.store().create_upload(new).await?)
@@ -215,7 +215,7 @@ async fn admit(state: &AppState, caller: &Caller, id: &str, headers: &HeaderMap)
     let room = match state.blobs().shared_files() {
         // Its bytes are promised to it since it was created.
         None => {
-            require_free_space(state, announced.unwrap_or(0))?;
+            state.reservations.require_free_space(announced.unwrap_or(0))?;
             None
         }
         Some(_) => Some(part::reserve(state, announced.unwrap_or(left), checksum.is_some()).await?),

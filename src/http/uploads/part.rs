@@ -13,7 +13,8 @@ use crate::{
     domain::{ProblemType, ProjectId},
     http::{
         problem::{Answer as _, ApiResult, ProblemResponse},
-        request::{DiskReservation, Pieces, Reservations},
+        request::Pieces,
+        shared::DiskReservation,
         state::AppState,
     },
     store::{UploadFile, UploadRecord},
@@ -39,7 +40,7 @@ pub(crate) struct Part {
 /// 507 if there is none.
 pub(crate) async fn reserve(state: &AppState, bytes: u64, has_checksum: bool) -> ApiResult<DiskReservation> {
     let at_a_time = if has_checksum { bytes } else { bytes.min(SAVE_BYTES) };
-    Reservations::reserve_disk(state, at_a_time).await
+    state.reservations.reserve_disk(at_a_time).await
 }
 
 impl Part {

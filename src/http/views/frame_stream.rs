@@ -24,15 +24,14 @@ use tokio::{
 use tokio_util::task::AbortOnDropHandle;
 use tracing::Instrument as _;
 
-use super::{
-    key::{Frame, ViewKey},
-    picture::Picture,
-    queue::QueueSlot,
-    view_renderer::{failed, picture},
-};
 use crate::{
     domain::KeyId,
-    http::{auth::revocation::revoked, problem::ApiResult, state::AppState},
+    http::{
+        auth::revocation::revoked,
+        problem::ApiResult,
+        rendering::{Frame, Picture, QueueSlot, ViewKey, failed},
+        state::AppState,
+    },
     picture::Apng,
 };
 
@@ -160,7 +159,7 @@ impl FrameStream {
     fn encoder(&self, format: &BodyFormat) -> ApiResult<(BodyEncoder, HeaderValue)> {
         match *format {
             BodyFormat::Multipart(kind) => {
-                let boundary = self.key("parts").boundary();
+                let boundary = self.key("parts").to_string();
                 let media_type = match kind {
                     Multipart::Mixed => "multipart/mixed",
                     Multipart::Replace => "multipart/x-mixed-replace",
@@ -263,7 +262,7 @@ impl FrameProducer {
         async move {
             let rendered = progress.clone();
             let on_rendered = move || _ = rendered.send_replace(Progress::Rendered);
-            let (picture, timing) = picture(&state, &slot, frame, on_rendered).await?;
+            let (picture, timing) = state.view_renderer.picture(&slot, frame, on_rendered).await?;
             progress.send_replace(Progress::Finished(timing.render_time()));
             encoder.part(&picture, index, is_last)
         }

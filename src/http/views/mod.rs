@@ -2,11 +2,7 @@
 
 mod camera;
 mod frame_stream;
-mod key;
-mod picture;
-mod queue;
 pub(super) mod sequence;
-mod view_renderer;
 
 use std::sync::Arc;
 
@@ -17,20 +13,16 @@ use axum::{
 };
 use serde::Deserialize;
 
-pub(super) use self::view_renderer::ViewRenderer;
 use self::{
     camera::{CameraSpec, invalid_view},
     frame_stream::{BodyFormat, FrameStream, Multipart, StopCondition},
-    key::{Frame, FrameSpec},
-    picture::{Format, Output, Picture, PictureKind, SettingError},
-    queue::Admission,
-    view_renderer::{Timing, picture},
 };
 use super::{
     config::RequestLimits,
     files::{file_of, take_lambda},
     jobs::OwnedJob,
     problem::{Answer as _, ApiResult, ProblemResponse},
+    rendering::{Admission, Format, Frame, FrameSpec, Output, Picture, PictureKind, SettingError, Timing},
     request::{ApiJson, Etag, JsonBody, Parameters, not_modified},
     state::AppState,
 };
@@ -88,7 +80,7 @@ pub(super) async fn get(
     let ViewQuery { kind, lambda, spec } = ViewQuery::take(parameters)?;
     let cameras = cameras(&state, &record, vec![spec]).await?;
     let frame = frames(&state, &record, lambda, &cameras, kind)?.remove(0);
-    let etag = frame.key().etag();
+    let etag = Etag::new(frame.key());
     let mut response = if etag.is_in_if_none_match(&headers) {
         not_modified(&etag)
     } else {
@@ -119,7 +111,7 @@ pub(super) async fn post(
     let mut response = if frames.len() == 1 {
         single(&state, &caller, frames.remove(0)).await?
     } else {
-        let slot = state.view_renderer.queue.enter(caller.key, Admission::Request(frames.len()))?;
+        let slot = state.view_renderer.enter(caller.key, Admission::Request(frames.len()))?;
         let stream = FrameStream { frames, rounds: 1, every: None, stop: StopCondition::WhenDone };
         stream.answer(&state, slot, BodyFormat::Multipart(Multipart::Mixed)).await?
     };
@@ -132,8 +124,8 @@ async fn single(state: &AppState, caller: &Caller, frame: Frame) -> ApiResult {
     let (picture, timing) = match state.view_renderer.cached(frame.key()) {
         Some(found) => found,
         None => {
-            let slot = state.view_renderer.queue.enter(caller.key, Admission::Request(1))?;
-            picture(state, &slot, frame, || ()).await?
+            let slot = state.view_renderer.enter(caller.key, Admission::Request(1))?;
+            state.view_renderer.picture(&slot, frame, || ()).await?
         }
     };
     Ok(answer(picture, &timing))

@@ -13,10 +13,7 @@ use super::{
     camera::{impossible, impossible_view, invalid_view, scaled, side},
     cameras, check_pixels, check_sides, dataset_cameras,
     frame_stream::{BodyFormat, FrameStream, Multipart, StopCondition},
-    frames_of_any_size,
-    picture::{Format, Output, PictureKind},
-    queue::Admission,
-    specs, take_kind,
+    frames_of_any_size, specs, take_kind,
 };
 use crate::{
     domain::{Caller, Camera, Intrinsics, Orbit, ProblemType, Split, ViewRequest, camera_path},
@@ -24,7 +21,8 @@ use crate::{
         files::take_lambda,
         jobs::OwnedJob,
         problem::{ApiResult, ProblemResponse},
-        request::{ApiJson, JsonBody, Parameters, not_modified},
+        rendering::{Admission, Format, Output, PictureKind},
+        request::{ApiJson, Etag, JsonBody, Parameters, not_modified},
         state::AppState,
     },
     store::JobRecord,
@@ -56,7 +54,7 @@ pub(crate) async fn stream(
     let frames = frames_of_any_size(&state, &record, lambda, &cameras, kind)?;
     let every = Some(Duration::from_secs(1) / rate);
     let stream = FrameStream { frames, rounds, every, stop: StopCondition::Revoked(caller.key) };
-    let slot = state.view_renderer.queue.enter(caller.key, Admission::Stream)?;
+    let slot = state.view_renderer.enter(caller.key, Admission::Stream)?;
     let mut response = stream.answer(&state, slot, BodyFormat::Multipart(Multipart::Replace)).await?;
     let headers = response.headers_mut();
     headers.insert(header::CACHE_CONTROL, HeaderValue::from_static("no-store"));
@@ -78,7 +76,7 @@ pub(crate) async fn animation(
     let orbit = OrbitSpec::take(&mut parameters, state.limits.frames)?;
     parameters.finish()?;
     let stream = animated(&state, &record, lambda, &orbit.cameras(&state, &record).await?)?;
-    let etag = stream.key(&format!("apng at {rate}")).etag();
+    let etag = Etag::new(stream.key(&format!("apng at {rate}")));
     let mut response = if etag.is_in_if_none_match(&headers) {
         not_modified(&etag)
     } else {
@@ -133,7 +131,7 @@ fn animated(
 }
 
 async fn shown(state: &AppState, caller: &Caller, stream: FrameStream, rate: u32) -> ApiResult {
-    let slot = state.view_renderer.queue.enter(caller.key, Admission::Request(stream.frames.len()))?;
+    let slot = state.view_renderer.enter(caller.key, Admission::Request(stream.frames.len()))?;
     let frames_per_second = u16::try_from(rate).unwrap_or(u16::MAX);
     stream.answer(state, slot, BodyFormat::Apng { frames_per_second }).await
 }

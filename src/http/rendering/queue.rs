@@ -20,7 +20,7 @@ use crate::{
     domain::{KeyId, ProblemType},
     http::{
         problem::{Answer as _, ProblemResponse},
-        slots::{Capacity, Slot, Slots},
+        shared::{Capacity, Slot, Slots},
     },
 };
 
@@ -33,18 +33,18 @@ const MAX_RETRY_AFTER: f64 = 120.0;
 
 /// The bounds of a [`RenderQueue`].
 #[derive(Debug, Clone, Copy)]
-pub(super) struct QueueLimits {
+pub(crate) struct QueueLimits {
     /// Pictures rendered at a time.
-    pub(super) at_once: usize,
+    pub(crate) at_once: usize,
     /// Requests that render or wait.
-    pub(super) requests: Capacity,
+    pub(crate) requests: Capacity,
     /// Streams, which stay for long and wait between pictures.
-    pub(super) streams: Capacity,
+    pub(crate) streams: Capacity,
 }
 
 /// What enters the queue.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Admission {
+pub(crate) enum Admission {
     /// A request for this many pictures.
     Request(usize),
     /// A stream.
@@ -53,7 +53,7 @@ pub(super) enum Admission {
 
 /// Why an [`Admission`] was refused, with the seconds after which to try again.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum AdmissionError {
+pub(crate) enum AdmissionError {
     /// All slots are taken.
     Full(Admission, u64),
     /// The caller has as many slots as it may.
@@ -78,7 +78,7 @@ impl From<AdmissionError> for ProblemResponse {
 
 /// The queue; clones share it.
 #[derive(Debug, Clone)]
-pub(super) struct RenderQueue(Arc<Shared>);
+pub(crate) struct RenderQueue(Arc<Shared>);
 
 #[derive(Debug)]
 struct Shared {
@@ -173,7 +173,7 @@ impl Shared {
 
 impl RenderQueue {
     /// An empty queue.
-    pub(super) fn new(limits: QueueLimits) -> Self {
+    pub(crate) fn new(limits: QueueLimits) -> Self {
         Self(Arc::new(Shared {
             at_once: limits.at_once.max(1),
             requests: Slots::new(limits.requests),
@@ -183,13 +183,13 @@ impl RenderQueue {
     }
 
     /// How many pictures are rendered and how many wait for a permit.
-    pub(super) fn depth(&self) -> (usize, usize) {
+    pub(crate) fn depth(&self) -> (usize, usize) {
         let state = self.0.state();
         (state.permits, state.waiting())
     }
 
     /// Admits a caller's request or stream.
-    pub(super) fn enter(&self, caller: CallerId, admission: Admission) -> Result<QueueSlot, AdmissionError> {
+    pub(crate) fn enter(&self, caller: CallerId, admission: Admission) -> Result<QueueSlot, AdmissionError> {
         let (slots, unstarted) = match admission {
             Admission::Request(pictures) => (&self.0.requests, pictures),
             Admission::Stream => (&self.0.streams, 0),
@@ -209,7 +209,7 @@ impl RenderQueue {
 
 /// An admitted request or stream; it leaves when this is dropped.
 #[derive(Debug)]
-pub(super) struct QueueSlot {
+pub(crate) struct QueueSlot {
     shared: Arc<Shared>,
     caller: CallerId,
     unstarted: AtomicUsize,
@@ -218,7 +218,7 @@ pub(super) struct QueueSlot {
 
 impl QueueSlot {
     /// Counts one of the request's pictures as started, with a permit or without.
-    pub(super) fn begin_picture(&self) {
+    pub(crate) fn begin_picture(&self) {
         let one_less = |unstarted: usize| unstarted.checked_sub(1);
         if self.unstarted.fetch_update(Ordering::Relaxed, Ordering::Relaxed, one_less).is_ok() {
             self.shared.state().unstarted -= 1;
@@ -226,7 +226,7 @@ impl QueueSlot {
     }
 
     /// Waits for a permit to render one picture.
-    pub(super) async fn permit(&self) -> RenderPermit {
+    pub(crate) async fn permit(&self) -> RenderPermit {
         let (ticket, granted) = {
             let mut state = self.shared.state();
             let entry = state.wait(self.caller);
@@ -276,7 +276,7 @@ impl Drop for Waiter {
 
 /// The right to render one picture; the next waiter's when this is dropped.
 #[derive(Debug)]
-pub(super) struct RenderPermit {
+pub(crate) struct RenderPermit {
     shared: Arc<Shared>,
     since: Instant,
 }

@@ -59,7 +59,7 @@ pub(crate) type SettingError = (&'static str, String);
 /// Output and format of a picture; only valid combinations.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub(crate) struct PictureKind {
-    pub(super) output: Output,
+    pub(crate) output: Output,
     pub(crate) format: Format,
     /// Of JPEG; 0 for the others.
     pub(crate) quality: u8,
@@ -101,7 +101,7 @@ impl PictureKind {
     }
 
     /// The name, version and settings of what encodes it.
-    pub(super) fn encoder(self) -> &'static str {
+    pub(crate) fn encoder(self) -> &'static str {
         self.file_format().map_or("NumPy's array format, version 1.0", PictureFormat::encoder)
     }
 
@@ -159,7 +159,7 @@ impl Picture {
     }
 
     /// World units per step of a 16-bit depth.
-    pub(super) fn depth_scale(&self) -> Option<f64> {
+    pub(crate) fn depth_scale(&self) -> Option<f64> {
         self.depth_scale
     }
 }

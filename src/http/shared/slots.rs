@@ -8,30 +8,30 @@ use std::{
 
 /// How many places there are.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Capacity {
+pub(crate) struct Capacity {
     /// For all holders together.
-    pub(super) all: usize,
+    pub(crate) all: usize,
     /// For one holder.
-    pub(super) each: usize,
+    pub(crate) each: usize,
 }
 
 impl Capacity {
     /// Places of which one holder leaves a quarter, or at least one, to the others where there is more than one.
-    pub(super) fn shared(all: usize) -> Self {
+    pub(crate) fn shared(all: usize) -> Self {
         Self { all, each: (all - all.div_ceil(4)).max(1) }
     }
 }
 
 /// How many places are taken.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) struct Taken {
-    pub(super) by_all: usize,
-    pub(super) by_holder: usize,
+pub(crate) struct Taken {
+    pub(crate) by_all: usize,
+    pub(crate) by_holder: usize,
 }
 
 /// The places; clones share them. Only holders that have one take memory.
 #[derive(Debug, Clone)]
-pub(super) struct Slots<K: Copy + Eq + Hash>(Arc<Inner<K>>);
+pub(crate) struct Slots<K: Copy + Eq + Hash>(Arc<Inner<K>>);
 
 #[derive(Debug)]
 struct Inner<K> {
@@ -40,11 +40,11 @@ struct Inner<K> {
 }
 
 impl<K: Copy + Eq + Hash> Slots<K> {
-    pub(super) fn new(capacity: Capacity) -> Self {
+    pub(crate) fn new(capacity: Capacity) -> Self {
         Self(Arc::new(Inner { capacity, taken: Mutex::default() }))
     }
 
-    pub(super) fn capacity(&self) -> Capacity {
+    pub(crate) fn capacity(&self) -> Capacity {
         self.0.capacity
     }
 
@@ -52,7 +52,7 @@ impl<K: Copy + Eq + Hash> Slots<K> {
     ///
     /// # Errors
     /// What is taken, if that is all, or all that one holder may have.
-    pub(super) fn take(&self, holder: K) -> Result<Slot<K>, Taken> {
+    pub(crate) fn take(&self, holder: K) -> Result<Slot<K>, Taken> {
         let Capacity { all, each } = self.0.capacity;
         let mut counts = self.lock();
         let by_holder = counts.get(&holder).copied().unwrap_or(0);
@@ -71,7 +71,7 @@ impl<K: Copy + Eq + Hash> Slots<K> {
 
 /// A place that is held until this is dropped.
 #[derive(Debug)]
-pub(super) struct Slot<K: Copy + Eq + Hash> {
+pub(crate) struct Slot<K: Copy + Eq + Hash> {
     slots: Slots<K>,
     holder: K,
 }

@@ -22,7 +22,7 @@ use governor::{
 
 use crate::{
     domain::{Clock, KeyId},
-    http::{config::AccessRules, server::client_address::ClientAddress},
+    http::{client_address::ClientAddress, config::AccessRules},
     store::KeyRecord,
 };
 
@@ -109,7 +109,7 @@ impl Throttle {
     }
 
     /// Counts a request that came without a good key.
-    pub(super) fn failure(&self, address: Option<ClientAddress>) -> Result<(), Wait> {
+    pub(crate) fn failure(&self, address: Option<ClientAddress>) -> Result<(), Wait> {
         let mut network = address.map_or(IpAddr::V4(Ipv4Addr::UNSPECIFIED), ClientAddress::network);
         if self.failures.len() >= MAX_ADDRESSES {
             self.failures.retain_recent();
@@ -121,7 +121,7 @@ impl Throttle {
     }
 
     /// Whether the use of a key should be recorded now; true once in [`TOUCH_EVERY`].
-    pub(super) fn is_due(&self, key: &KeyRecord) -> bool {
+    pub(crate) fn is_due(&self, key: &KeyRecord) -> bool {
         let (now, elapsed) = (self.ticks.0.now(), self.ticks.0.elapsed());
         let mut uses = self.uses.lock().unwrap_or_else(PoisonError::into_inner);
         let entry = uses.entry(key.id).or_insert_with(Use::none);

@@ -10,7 +10,6 @@ use sha2::{Digest as _, Sha256};
 use super::picture::PictureKind;
 use crate::{
     domain::{Camera, Digest},
-    http::request::Etag,
     render::RenderViews,
 };
 
@@ -19,17 +18,17 @@ const ZERO: f64 = 1e-12;
 
 /// One picture of one file.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct FrameSpec {
-    pub(super) artifact: Digest,
-    pub(super) camera: Camera,
-    pub(super) kind: PictureKind,
+pub(crate) struct FrameSpec {
+    pub(crate) artifact: Digest,
+    pub(crate) camera: Camera,
+    pub(crate) kind: PictureKind,
 }
 
 /// A picture and what renders it.
 #[derive(Clone)]
-pub(super) struct Frame {
-    pub(super) spec: FrameSpec,
-    pub(super) renderer: Arc<dyn RenderViews>,
+pub(crate) struct Frame {
+    pub(crate) spec: FrameSpec,
+    pub(crate) renderer: Arc<dyn RenderViews>,
 }
 
 impl fmt::Debug for Frame {
@@ -39,19 +38,19 @@ impl fmt::Debug for Frame {
 }
 
 impl Frame {
-    pub(super) fn key(&self) -> ViewKey {
+    pub(crate) fn key(&self) -> ViewKey {
         ViewKey::new(&self.renderer.identity(), &self.spec)
     }
 }
 
 /// The SHA-256 of everything that determines a picture's bytes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
-pub(super) struct ViewKey(Digest);
+pub(crate) struct ViewKey(Digest);
 
 impl ViewKey {
     /// The key of a frame rendered by `identity`. The camera is rounded to f32, as on the device, so one pose has one key however it
     /// was written.
-    pub(super) fn new(identity: &str, frame: &FrameSpec) -> Self {
+    pub(crate) fn new(identity: &str, frame: &FrameSpec) -> Self {
         Self::encoded_by(frame.kind.encoder(), identity, frame)
     }
 
@@ -79,20 +78,18 @@ impl ViewKey {
     }
 
     /// The key of a sequence of pictures in a format.
-    pub(super) fn of_many(keys: impl Iterator<Item = Self>, how: &str) -> Self {
+    pub(crate) fn of_many(keys: impl Iterator<Item = Self>, how: &str) -> Self {
         let mut hash = Sha256::new();
         keys.for_each(|key| hash.update(key.0.as_bytes()));
         hash.update(how.as_bytes());
         Self(Digest::of(&hash.finalize()))
     }
+}
 
-    pub(super) fn etag(self) -> Etag {
-        Etag::new(self.0)
-    }
-
-    /// A multipart boundary that occurs in no file by accident.
-    pub(super) fn boundary(self) -> String {
-        self.0.to_string()
+/// Hexadecimal digits: an entity tag, or a multipart boundary that occurs in no file by accident.
+impl fmt::Display for ViewKey {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.0.fmt(f)
     }
 }
 
@@ -108,7 +105,7 @@ mod tests {
     use super::*;
     use crate::{
         domain::{Convention, Intrinsics, Pose},
-        http::views::picture::{Format, Output},
+        http::rendering::{Format, Output},
     };
 
     fn frame() -> FrameSpec {

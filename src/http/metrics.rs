@@ -1,17 +1,11 @@
 //! `GET /metrics`: the process's own metrics, then those of the database and the disk, read at most once a second.
 
-use std::{
-    sync::atomic::AtomicU64,
-    time::{Duration, Instant},
-};
+use std::sync::atomic::AtomicU64;
 
 use axum::{
-    Router,
     extract::State,
     http::{HeaderValue, header},
-    middleware::{from_fn, from_fn_with_state},
     response::IntoResponse,
-    routing,
 };
 use jiff::Timestamp;
 use prometheus_client::{
@@ -19,45 +13,24 @@ use prometheus_client::{
     metrics::{counter::Counter, family::Family, gauge::Gauge},
     registry::Registry,
 };
-use tokio::sync::Mutex;
 
 use crate::{
     http::{
-        auth,
         problem::{ApiResult, ProblemResponse},
-        server::{drain_body, head, health, middleware},
         state::AppState,
     },
     store::StoreStats,
 };
 
-/// How long the store's statistics are cached.
-const CACHE_TIME: Duration = Duration::from_secs(1);
 const MEDIA_TYPE: &str = "application/openmetrics-text; version=1.0.0; charset=utf-8";
 
 type Labels = Vec<(&'static str, String)>;
 type Gauges = Family<Labels, Gauge<f64, AtomicU64>>;
 type Counters = Family<Labels, Counter<f64, AtomicU64>>;
 
-/// The cached statistics, so that scrapers cannot keep the database busy.
-#[derive(Debug, Default)]
-pub(crate) struct Cache(Mutex<Option<(Instant, StoreStats)>>);
-
-/// The routes of a listener for metrics only.
-pub(crate) fn router(state: AppState, on_loopback: bool) -> Router {
-    Router::new()
-        .route("/metrics", routing::get(get))
-        .route("/healthz", routing::get(health::healthz))
-        .layer(from_fn_with_state(on_loopback, auth::admit_without_keys))
-        .layer(from_fn(head::bounded))
-        .layer(from_fn(drain_body::drain_unread))
-        .layer(from_fn_with_state(state.clone(), middleware::wrap))
-        .with_state(state)
-}
-
 /// `GET /metrics`.
 pub(crate) async fn get(State(state): State<AppState>) -> ApiResult {
-    let figures = figures(&state).await?;
+    let figures = state.stats.get().await?;
     let registry = registry(&state, &figures);
     let mut text = String::new();
     encode_registry(&mut text, state.meters.registry())
@@ -69,19 +42,6 @@ pub(crate) async fn get(State(state): State<AppState>) -> ApiResult {
         (header::CACHE_CONTROL, HeaderValue::from_static("no-store")),
     ];
     Ok((headers, text).into_response())
-}
-
-async fn figures(state: &AppState) -> ApiResult<StoreStats> {
-    // Concurrent requests wait for the same read.
-    let mut cached = state.metrics_cache.0.lock().await;
-    if let Some((at, figures)) = &*cached
-        && at.elapsed() < CACHE_TIME
-    {
-        return Ok(figures.clone());
-    }
-    let figures = state.store().stats().await?;
-    *cached = Some((Instant::now(), figures.clone()));
-    Ok(figures)
 }
 
 fn registry(state: &AppState, figures: &StoreStats) -> Registry {

@@ -1,9 +1,7 @@
-//! Metrics of the process, and `/metrics`, which adds those of the database and the disk.
+//! Metrics of the process itself, which `/metrics` shows with those of the database and the disk.
 //!
 //! Every label has a bounded set of values: a method is a known one, a path is its route's template, a cause is a problem's type.
 //! Nothing that a client invents becomes a series.
-
-mod scrape;
 
 use std::{fmt, sync::Arc, time::Duration};
 
@@ -13,8 +11,6 @@ use prometheus_client::{
     metrics::{counter::Counter, family::Family, gauge::Gauge, histogram::Histogram, info::Info},
     registry::{Metric, Registry},
 };
-
-pub(super) use scrape::{Cache, get, router};
 
 /// Upper ends of the buckets of requests, in seconds.
 const REQUEST_SECONDS: [f64; 11] = [0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 5.0, 10.0];
@@ -162,7 +158,8 @@ impl Meters {
         GaugeGuard::one_of(&self.0.event_streams)
     }
 
-    fn registry(&self) -> &Registry {
+    /// Every metric of the process.
+    pub(super) fn registry(&self) -> &Registry {
         &self.0.registry
     }
 }

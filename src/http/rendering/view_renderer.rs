@@ -16,15 +16,16 @@ use tokio::{runtime::Handle, sync::Semaphore, task::spawn_blocking};
 use super::{
     key::{Frame, ViewKey},
     picture::{Output, Picture, Rendered},
-    queue::{QueueLimits, QueueSlot, RenderPermit, RenderQueue},
+    queue::{Admission, AdmissionError, QueueLimits, QueueSlot, RenderPermit, RenderQueue},
 };
 use crate::{
-    domain::Problem,
+    domain::{KeyId, Problem},
     http::{
         config::RequestLimits,
+        meters::Meters,
         problem::{ApiResult, internal},
-        slots::Capacity,
-        state::{AppState, Services},
+        services::Services,
+        shared::Capacity,
     },
     render::views::{ScalarKind, Viewable},
 };
@@ -43,10 +44,14 @@ impl Weighter<ViewKey, Picture> for Bytes {
     }
 }
 
-/// The cache and the render queue.
-#[derive(Debug)]
-pub(crate) struct ViewRenderer {
-    pub(super) queue: RenderQueue,
+/// The cache and the render queue; clones share them.
+#[derive(Clone)]
+pub(crate) struct ViewRenderer(Arc<Inner>);
+
+struct Inner {
+    services: Services,
+    meters: Meters,
+    queue: RenderQueue,
     cache: Cache<ViewKey, Picture, Bytes>,
     /// For pictures that are encoded while the next one is rendered.
     encoders: Arc<Semaphore>,
@@ -55,7 +60,7 @@ pub(crate) struct ViewRenderer {
 
 /// How long the steps of a picture took.
 #[derive(Debug, Clone, Copy, Default)]
-pub(super) struct Timing {
+pub(crate) struct Timing {
     cached: bool,
     queue: Duration,
     load: Duration,
@@ -65,12 +70,12 @@ pub(super) struct Timing {
 
 impl Timing {
     /// Time without waiting; zero if cached.
-    pub(super) fn render_time(&self) -> Duration {
+    pub(crate) fn render_time(&self) -> Duration {
         self.load + self.render + self.encode
     }
 
     /// The value of `Server-Timing`.
-    pub(super) fn header(&self) -> HeaderValue {
+    pub(crate) fn header(&self) -> HeaderValue {
         if self.cached {
             return HeaderValue::from_static("cache;desc=hit");
         }
@@ -88,7 +93,7 @@ impl Timing {
 
 impl ViewRenderer {
     /// An empty cache and queue.
-    pub(crate) fn new(limits: &RequestLimits) -> Self {
+    pub(crate) fn new(limits: &RequestLimits, services: Services, meters: Meters) -> Self {
         let queue = RenderQueue::new(QueueLimits {
             at_once: limits.renders,
             requests: Capacity {
@@ -107,75 +112,90 @@ impl ViewRenderer {
         };
         let cores = available_parallelism().map_or(1, usize::from);
         let encoders = Arc::new(Semaphore::new(cores));
-        Self { queue, cache, encoders, encoder_count: cores }
+        Self(Arc::new(Inner { services, meters, queue, cache, encoders, encoder_count: cores }))
     }
 
     /// How many pictures are rendered and how many wait for a permit.
     pub(crate) fn depth(&self) -> (usize, usize) {
-        self.queue.depth()
+        self.0.queue.depth()
+    }
+
+    /// Admits a caller's request or stream.
+    ///
+    /// # Errors
+    /// If all places are taken, or all that one caller may have.
+    pub(crate) fn enter(
+        &self,
+        caller: Option<KeyId>,
+        admission: Admission,
+    ) -> Result<QueueSlot, AdmissionError> {
+        self.0.queue.enter(caller, admission)
     }
 
     /// Pictures that are encoded at a time without a render permit.
-    pub(super) fn encoders(&self) -> usize {
-        self.encoder_count
+    pub(crate) fn encoders(&self) -> usize {
+        self.0.encoder_count
     }
 
     /// The picture if it is cached.
-    pub(super) fn cached(&self, key: ViewKey) -> Option<(Picture, Timing)> {
-        self.cache.get(&key).map(|picture| (picture, Timing { cached: true, ..Timing::default() }))
+    pub(crate) fn cached(&self, key: ViewKey) -> Option<(Picture, Timing)> {
+        self.0.cache.get(&key).map(|picture| (picture, Timing { cached: true, ..Timing::default() }))
     }
-}
 
-/// The picture of a frame, from the cache or rendered with a permit. Calls `on_rendered` before it encodes the picture.
-pub(super) async fn picture(
-    state: &AppState,
-    slot: &QueueSlot,
-    frame: Frame,
-    on_rendered: impl FnOnce() + Send + 'static,
-) -> ApiResult<(Picture, Timing)> {
-    let view_renderer = &state.view_renderer;
-    let (key, kind) = (frame.key(), frame.spec.kind);
-    slot.begin_picture();
-    let entered = Instant::now();
-    let vacant = match view_renderer.cache.get_value_or_guard_async(&key).await {
-        Ok(picture) => return Ok((picture, Timing { cached: true, ..Timing::default() })),
-        Err(vacant) => vacant,
-    };
-    let permit = slot.permit().await;
-    let queue = entered.elapsed();
-    let made = render_with_permit(state, permit, frame, move |rendered, timing| {
-        on_rendered();
-        let began = Instant::now();
-        let picture = Picture::encode(&rendered, kind).map_err(|error| failed(&error))?;
-        Ok((picture, Timing { queue, encode: began.elapsed(), ..timing }))
-    });
-    let (picture, timing) = made.await?;
-    // Fails only if another has inserted it meanwhile.
-    let _ = vacant.insert(picture.clone());
-    Ok((picture, timing))
-}
+    /// The picture of a frame, from the cache or rendered with a permit. Calls `on_rendered` before it encodes the picture.
+    ///
+    /// # Errors
+    /// If the scene cannot be loaded or rendered, or the picture not encoded.
+    pub(crate) async fn picture(
+        &self,
+        slot: &QueueSlot,
+        frame: Frame,
+        on_rendered: impl FnOnce() + Send + 'static,
+    ) -> ApiResult<(Picture, Timing)> {
+        let (key, kind) = (frame.key(), frame.spec.kind);
+        slot.begin_picture();
+        let entered = Instant::now();
+        let vacant = match self.0.cache.get_value_or_guard_async(&key).await {
+            Ok(picture) => return Ok((picture, Timing { cached: true, ..Timing::default() })),
+            Err(vacant) => vacant,
+        };
+        let permit = slot.permit().await;
+        let queue = entered.elapsed();
+        let made = self.render_with_permit(permit, frame, move |rendered, timing| {
+            on_rendered();
+            let began = Instant::now();
+            let picture = Picture::encode(&rendered, kind).map_err(|error| failed(&error))?;
+            Ok((picture, Timing { queue, encode: began.elapsed(), ..timing }))
+        });
+        let (picture, timing) = made.await?;
+        // Fails only if another has inserted it meanwhile.
+        let _ = vacant.insert(picture.clone());
+        Ok((picture, timing))
+    }
 
-/// Renders and finishes a frame on a blocking thread, even if the request is cancelled. It gives the permit back once the frame is
-/// rendered, or at its end if as many others are being finished as there are cores.
-async fn render_with_permit<T: Send + 'static>(
-    state: &AppState,
-    permit: RenderPermit,
-    frame: Frame,
-    finish: impl FnOnce(Rendered, Timing) -> Result<T, Problem> + Send + 'static,
-) -> ApiResult<T> {
-    let state = state.clone();
-    let runtime = Handle::current();
-    let span = tracing::Span::current();
-    let made = spawn_blocking(move || {
-        let _span = span.entered();
-        let (rendered, timing) = render(&state.services, &runtime, &frame)?;
-        state.meters.rendered(timing.render);
-        let encoder = Arc::clone(&state.view_renderer.encoders).try_acquire_owned();
-        // Dropped here if there is room to encode.
-        let _permit = encoder.is_err().then_some(permit);
-        finish(rendered, timing)
-    });
-    Ok(made.await??)
+    /// Renders and finishes a frame on a blocking thread, even if the request is cancelled. It gives the permit back once the frame is
+    /// rendered, or at its end if as many others are being finished as there are cores.
+    async fn render_with_permit<T: Send + 'static>(
+        &self,
+        permit: RenderPermit,
+        frame: Frame,
+        finish: impl FnOnce(Rendered, Timing) -> Result<T, Problem> + Send + 'static,
+    ) -> ApiResult<T> {
+        let this = self.clone();
+        let runtime = Handle::current();
+        let span = tracing::Span::current();
+        let made = spawn_blocking(move || {
+            let _span = span.entered();
+            let Inner { services, meters, encoders, .. } = &*this.0;
+            let (rendered, timing) = render(services, &runtime, &frame)?;
+            meters.rendered(timing.render);
+            let encoder = Arc::clone(encoders).try_acquire_owned();
+            // Dropped here if there is room to encode.
+            let _permit = encoder.is_err().then_some(permit);
+            finish(rendered, timing)
+        });
+        Ok(made.await??)
+    }
 }
 
 fn render(services: &Services, runtime: &Handle, frame: &Frame) -> Result<(Rendered, Timing), Problem> {
@@ -200,7 +220,7 @@ fn render(services: &Services, runtime: &Handle, frame: &Frame) -> Result<(Rende
 }
 
 /// An internal problem; the error goes to the log.
-pub(super) fn failed(error: &(dyn std::error::Error + 'static)) -> Problem {
+pub(crate) fn failed(error: &(dyn std::error::Error + 'static)) -> Problem {
     tracing::error!(error, "a view cannot be made: {error}");
     internal()
 }

@@ -7,23 +7,30 @@
 
 use std::{
     collections::BTreeMap,
+    fmt,
     sync::{Arc, Mutex, MutexGuard, PoisonError},
 };
 
 use crate::{
     domain::ProjectId,
-    http::{
-        problem::{ApiResult, ProblemResponse},
-        state::AppState,
-    },
+    http::problem::{ApiResult, ProblemResponse},
+    store::{Blobs, Store},
 };
 
 /// Growth of a reservation for a body without an announced length, in bytes, if there is space for it.
 const STEP: u64 = 8 << 20;
 
 /// What is reserved in this process; clones share it.
-#[derive(Debug, Clone, Default)]
-pub(crate) struct Reservations(Arc<Mutex<Pending>>);
+#[derive(Clone)]
+pub(crate) struct Reservations(Arc<Inner>);
+
+struct Inner {
+    store: Arc<dyn Store>,
+    blobs: Blobs,
+    /// The floor of free disk space, in bytes.
+    min_free_space: u64,
+    pending: Mutex<Pending>,
+}
 
 #[derive(Debug, Default)]
 struct Pending {
@@ -58,9 +65,20 @@ pub(crate) struct Reservation {
     written: u64,
 }
 
+impl fmt::Debug for Reservations {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_tuple("Reservations").field(&self.lock()).finish()
+    }
+}
+
 impl Reservations {
+    /// Nothing reserved yet; the disk that has the blobs keeps `min_free_space` bytes.
+    pub(crate) fn new(store: Arc<dyn Store>, blobs: Blobs, min_free_space: u64) -> Self {
+        Self(Arc::new(Inner { store, blobs, min_free_space, pending: Mutex::default() }))
+    }
+
     fn lock(&self) -> MutexGuard<'_, Pending> {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+        self.0.pending.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// Reserves `bytes` for a project.
@@ -68,13 +86,12 @@ impl Reservations {
     /// # Errors
     /// [`ReservationError`].
     pub(crate) async fn reserve(
-        state: &AppState,
+        &self,
         project: ProjectId,
         bytes: u64,
     ) -> Result<Reservation, ReservationError> {
-        let mut reservation =
-            Reservation { reservations: state.reservations.clone(), project, bytes: 0, written: 0 };
-        reservation.grow(state, bytes).await?;
+        let mut reservation = Reservation { reservations: self.clone(), project, bytes: 0, written: 0 };
+        reservation.grow(bytes).await?;
         Ok(reservation)
     }
 
@@ -82,14 +99,34 @@ impl Reservations {
     ///
     /// # Errors
     /// 507 if there is no room for them.
-    pub(crate) async fn reserve_disk(state: &AppState, bytes: u64) -> ApiResult<DiskReservation> {
-        let free = free_bytes(state).await?;
-        let reservations = state.reservations.clone();
-        let mut pending = reservations.lock();
+    pub(crate) async fn reserve_disk(&self, bytes: u64) -> ApiResult<DiskReservation> {
+        let free = self.free_bytes().await?;
+        let mut pending = self.lock();
         pending.expect_free(free, bytes)?;
         pending.unwritten += bytes;
         drop(pending);
-        Ok(DiskReservation { reservations, bytes })
+        Ok(DiskReservation { reservations: self.clone(), bytes })
+    }
+
+    /// Refuses a request if the disk has less than `bytes` above the floor; for bytes that are reserved already, or of unknown number.
+    ///
+    /// # Errors
+    /// 507.
+    pub(crate) fn require_free_space(&self, bytes: u64) -> ApiResult<()> {
+        let needed = self.0.min_free_space.saturating_add(bytes);
+        if self.0.blobs.free_bytes()? < needed { Err(ProblemResponse::storage_full()) } else { Ok(()) }
+    }
+
+    /// Bytes that may still be written: those above the floor that are not promised to resumable uploads, which fill the disk unless a
+    /// bucket takes their parts.
+    async fn free_bytes(&self) -> ApiResult<u64> {
+        let Inner { store, blobs, min_free_space, .. } = &*self.0;
+        let outstanding = match blobs.shared_files() {
+            None => store.outstanding_bytes().await?,
+            Some(_) => 0,
+        };
+        let taken = outstanding.saturating_add(*min_free_space);
+        blobs.free_bytes()?.checked_sub(taken).ok_or_else(ProblemResponse::storage_full)
     }
 }
 
@@ -107,15 +144,6 @@ impl Drop for DiskReservation {
     }
 }
 
-/// Refuses a request if the disk has less than `bytes` above the floor; for bytes that are reserved already, or of unknown number.
-///
-/// # Errors
-/// 507.
-pub(crate) fn require_free_space(state: &AppState, bytes: u64) -> ApiResult<()> {
-    let needed = state.limits.min_free_space.saturating_add(bytes);
-    if state.blobs().free_bytes()? < needed { Err(ProblemResponse::storage_full()) } else { Ok(()) }
-}
-
 impl Pending {
     fn expect_free(&self, free: u64, requested: u64) -> ApiResult<()> {
         if self.unwritten.saturating_add(requested) > free {
@@ -126,25 +154,12 @@ impl Pending {
     }
 }
 
-/// Bytes that may still be written: those above the floor that are not promised to resumable uploads, which fill the disk unless a
-/// bucket takes their parts.
-async fn free_bytes(state: &AppState) -> ApiResult<u64> {
-    let outstanding = match state.blobs().shared_files() {
-        None => state.store().outstanding_bytes().await?,
-        Some(_) => 0,
-    };
-    let taken = outstanding.saturating_add(state.limits.min_free_space);
-    state.blobs().free_bytes()?.checked_sub(taken).ok_or_else(ProblemResponse::storage_full)
-}
-
 impl Reservation {
-    async fn grow(&mut self, state: &AppState, more: u64) -> Result<(), ReservationError> {
-        let room = state
-            .store()
-            .capacity(self.project)
-            .await
-            .map_err(|error| ReservationError::Other(error.into()))?;
-        let free = free_bytes(state).await.map_err(ReservationError::Other)?;
+    async fn grow(&mut self, more: u64) -> Result<(), ReservationError> {
+        let store = &self.reservations.0.store;
+        let room =
+            store.capacity(self.project).await.map_err(|error| ReservationError::Other(error.into()))?;
+        let free = self.reservations.free_bytes().await.map_err(ReservationError::Other)?;
         let mut pending = self.reservations.lock();
         let own = pending.by_project.get(&self.project).copied().unwrap_or(0);
         room.admit(own, more).map_err(|error| ReservationError::Quota(error.into()))?;
@@ -160,15 +175,15 @@ impl Reservation {
     ///
     /// # Errors
     /// [`ReservationError`].
-    pub(crate) async fn cover(&mut self, state: &AppState, more: u64) -> Result<(), ReservationError> {
+    pub(crate) async fn cover(&mut self, more: u64) -> Result<(), ReservationError> {
         let needed = (self.written + more).saturating_sub(self.bytes);
         if needed == 0 {
             return Ok(());
         }
-        if needed < STEP && self.grow(state, STEP).await.is_ok() {
+        if needed < STEP && self.grow(STEP).await.is_ok() {
             return Ok(());
         }
-        self.grow(state, needed).await
+        self.grow(needed).await
     }
 
     /// Records that bytes are on the disk, where they count as used space.
@@ -207,117 +222,61 @@ impl Drop for Reservation {
 
 #[cfg(test)]
 mod tests {
-    use std::{path::Path, sync::Arc};
-
     use tempfile::TempDir;
-    use tokio_util::sync::CancellationToken;
 
     use super::*;
     use crate::{
-        domain::{
-            DatasetSummary, Digest, ExportedScene, JobId, NamedCamera, Problem, ProblemType, SceneFormat,
-            SystemClock, SystemRandom, WorkerCounts, Workers,
-        },
-        engine::{SceneEngine, SceneSource},
-        http::{Services, config::RequestLimits},
-        render::{RenderViews, views::Viewable},
-        store::{Blobs, QueuePolicy, SqlStore},
+        domain::SystemClock,
+        store::{QueuePolicy, SqlStore},
     };
 
-    /// Neither an engine nor workers.
-    struct Neither;
-
-    fn never<T>() -> Result<T, Problem> {
-        Err(Problem::new(ProblemType::Internal, "not of this test"))
-    }
-
-    impl SceneEngine for Neither {
-        fn check(&self, _: &Path) -> Result<DatasetSummary, Problem> {
-            never()
-        }
-
-        fn load(&self, _: &[u8]) -> Result<Viewable, Problem> {
-            never()
-        }
-
-        fn renderer(&self, _: Digest) -> Result<Arc<dyn RenderViews>, Problem> {
-            never()
-        }
-
-        fn export(
-            &self,
-            _: SceneSource<'_>,
-            _: SceneFormat,
-            _: &[NamedCamera],
-        ) -> Result<ExportedScene, Problem> {
-            never()
-        }
-
-        fn viewers(&self) -> Option<usize> {
-            None
-        }
-    }
-
-    impl Workers for Neither {
-        fn counts(&self) -> WorkerCounts {
-            WorkerCounts { expected: 0, alive: 0 }
-        }
-
-        fn forget(&self, _: JobId) {}
-    }
-
-    async fn state() -> (TempDir, AppState) {
+    async fn reservations() -> (TempDir, Reservations) {
         let folder = tempfile::tempdir().expect("a folder");
-        let clock = Arc::new(SystemClock);
         let path = folder.path().join("tcgs.db");
-        let store = SqlStore::open(&path, clock.clone(), QueuePolicy::default());
-        let services = Services {
-            store: Arc::new(store.await.expect("a database")),
-            blobs: Blobs::open(folder.path()).expect("a blob store"),
-            clock,
-            entropy: Arc::new(SystemRandom),
-            engine: Arc::new(Neither),
-            workers: Arc::new(Neither),
-        };
-        let limits = RequestLimits { min_free_space: 1, ..RequestLimits::default() };
-        (folder, AppState::new(services, limits, CancellationToken::new()))
+        let store = SqlStore::open(&path, Arc::new(SystemClock), QueuePolicy::default());
+        let store = Arc::new(store.await.expect("a database"));
+        let blobs = Blobs::open(folder.path()).expect("a blob store");
+        (folder, Reservations::new(store, blobs, 1))
     }
 
     /// Bytes that count against the project's quota, and those that are not on the disk yet.
-    fn held(state: &AppState) -> (u64, u64) {
-        let pending = state.reservations.lock();
+    fn held(reservations: &Reservations) -> (u64, u64) {
+        let pending = reservations.lock();
         (pending.by_project.get(&ProjectId::DEFAULT).copied().unwrap_or(0), pending.unwritten)
     }
 
     #[tokio::test]
     async fn what_is_reserved_is_written_or_released_and_nothing_stays() {
-        let (_folder, state) = state().await;
-        let reserve = async |bytes| {
-            Reservations::reserve(&state, ProjectId::DEFAULT, bytes).await.expect("there is room")
-        };
+        let (_folder, reservations) = reservations().await;
+        let reserve =
+            async |bytes| reservations.reserve(ProjectId::DEFAULT, bytes).await.expect("there is room");
         let other = reserve(50).await;
         let mut one = reserve(1000).await;
-        assert_eq!(held(&state), (1050, 1050), "reservations of one project add up");
+        assert_eq!(held(&reservations), (1050, 1050), "reservations of one project add up");
         one.wrote(400);
-        assert_eq!(held(&state), (1050, 650), "what is written counts against the quota alone");
-        one.cover(&state, 600).await.expect("reserved");
-        assert_eq!(held(&state), (1050, 650));
-        one.cover(&state, 700).await.expect("there is room");
-        assert_eq!(held(&state), (1050 + STEP, 650 + STEP), "it grows by steps");
+        assert_eq!(held(&reservations), (1050, 650), "what is written counts against the quota alone");
+        one.cover(600).await.expect("reserved");
+        assert_eq!(held(&reservations), (1050, 650));
+        one.cover(700).await.expect("there is room");
+        assert_eq!(held(&reservations), (1050 + STEP, 650 + STEP), "it grows by steps");
         one.wrote(700);
         one.settle();
-        assert_eq!(held(&state), (1150, 50));
-        one.cover(&state, 2 * STEP).await.expect("there is room");
-        assert_eq!(held(&state), (1150 + 2 * STEP, 50 + 2 * STEP), "or by what is needed, if that is more");
+        assert_eq!(held(&reservations), (1150, 50));
+        one.cover(2 * STEP).await.expect("there is room");
+        assert_eq!(
+            held(&reservations),
+            (1150 + 2 * STEP, 50 + 2 * STEP),
+            "or by what is needed, if that is more"
+        );
         one.wrote(STEP);
         drop(one);
-        assert_eq!(held(&state), (50, 50));
+        assert_eq!(held(&reservations), (50, 50));
         drop(other);
-        let on_disk = Reservations::reserve_disk(&state, 500).await.expect("there is room");
-        assert_eq!(held(&state), (0, 500));
+        let on_disk = reservations.reserve_disk(500).await.expect("there is room");
+        assert_eq!(held(&reservations), (0, 500));
         drop(on_disk);
-        assert_eq!(held(&state), (0, 0));
-        assert!(state.reservations.lock().by_project.is_empty(), "projects without bytes take no memory");
+        assert_eq!(held(&reservations), (0, 0));
+        assert!(reservations.lock().by_project.is_empty(), "projects without bytes take no memory");
     }
 
     #[tokio::test]
@@ -325,9 +284,9 @@ mod tests {
         let pending = Pending { unwritten: 10, ..Pending::default() };
         assert!(pending.expect_free(30, 20).is_ok());
         assert!(pending.expect_free(30, 21).is_err());
-        let (_folder, state) = state().await;
-        assert!(require_free_space(&state, 0).is_ok());
-        assert!(require_free_space(&state, u64::MAX).is_err());
-        assert!(Reservations::reserve_disk(&state, u64::MAX).await.is_err());
+        let (_folder, reservations) = reservations().await;
+        assert!(reservations.require_free_space(0).is_ok());
+        assert!(reservations.require_free_space(u64::MAX).is_err());
+        assert!(reservations.reserve_disk(u64::MAX).await.is_err());
     }
 }
