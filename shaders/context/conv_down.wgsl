@@ -1,6 +1,7 @@
 // A convolution of 3 x 3 taps, stride 2 and one texel of zero padding, over three planes at once: a fine tensor to a coarse
 // one. Also the gradient of `conv_up` by its input. One output an invocation.
 #import tcgs::convolution::{Convolution, ADD, GATE, NONE, RELU}
+#import tcgs::index::lane_index
 
 @group(0) @binding(0) var<uniform> convolution: Convolution;
 @group(0) @binding(1) var<storage, read> parameters: array<f32>;
@@ -13,7 +14,7 @@ fn conv_down(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_inde
     let fine = convolution.shape.x;
     let coarse = convolution.shape.y;
     let edge = convolution.shape.z;
-    let index = (group.x + group.y * 65535u) * 64u + local;
+    let index = lane_index(group, local);
     if index >= 3u * coarse * edge * edge {
         return;
     }

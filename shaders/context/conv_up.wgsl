@@ -2,6 +2,7 @@
 // (v, u) times itself to the fine value at (2 x + u - 1, 2 y + v - 1), where there is one. Also the gradient of
 // `conv_down` by its input. One output an invocation, which gathers what reaches it.
 #import tcgs::convolution::{Convolution, ADD, GATE, NONE, RELU}
+#import tcgs::index::lane_index
 
 @group(0) @binding(0) var<uniform> convolution: Convolution;
 @group(0) @binding(1) var<storage, read> parameters: array<f32>;
@@ -14,7 +15,7 @@ fn conv_up(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index)
     let fine = convolution.shape.x;
     let coarse = convolution.shape.y;
     let edge = convolution.shape.z;
-    let index = (group.x + group.y * 65535u) * 64u + local;
+    let index = lane_index(group, local);
     if index >= 12u * fine * edge * edge {
         return;
     }

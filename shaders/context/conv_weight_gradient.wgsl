@@ -1,6 +1,8 @@
 // The gradient of `conv_down` or `conv_up` by weights and bias. `conv_down` has its gradient on the coarse side and its input
 // on the fine side, `conv_up` the reverse. One parameter an invocation, summed over all texels in order.
 
+#import tcgs::index::lane_index
+
 struct Shape {
     // channels of the fine side, of the coarse side, edge of the coarse side, 1 if the bias is the fine side's
     shape: vec4u,
@@ -61,7 +63,7 @@ fn bias_gradient(channel: u32) -> f32 {
 
 @compute @workgroup_size(64)
 fn conv_weight_gradient(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) local: u32) {
-    let index = (group.x + group.y * 65535u) * 64u + local;
+    let index = lane_index(group, local);
     let weights = 9u * shape.shape.x * shape.shape.y;
     if index < weights {
         gradients[shape.first.z + index] = weight_gradient(index);

@@ -1,6 +1,8 @@
 // Replaces the adjustments that the networks predict for the sampled anchors by the anchors' own steps, and stores the
 // prediction errors: while attributes are frozen, rates are measured at the steps that the anchors have.
 
+#import tcgs::index::lane_index
+
 struct Settings {
     // base steps of features, scalings, offsets, unused
     base: vec4f,
@@ -19,7 +21,7 @@ struct Settings {
 
 @compute @workgroup_size(64)
 fn freeze_quant_steps(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) local: u32) {
-    let sampled = (group.x + group.y * 65535u) * 64u + local;
+    let sampled = lane_index(group, local);
     if sampled >= list[0] {
         return;
     }

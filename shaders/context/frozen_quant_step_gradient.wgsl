@@ -1,6 +1,8 @@
 // Writes the gradients of half the squared differences between predicted adjustments and held steps, by the predictions of
 // the sampled anchors.
 
+#import tcgs::index::lane_index
+
 struct Settings {
     // of features, scalings, offsets, unused
     weights: vec4f,
@@ -16,7 +18,7 @@ struct Settings {
 
 @compute @workgroup_size(64)
 fn frozen_quant_step_gradient(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) local: u32) {
-    let sampled = (group.x + group.y * 65535u) * 64u + local;
+    let sampled = lane_index(group, local);
     if sampled >= list[0] {
         return;
     }

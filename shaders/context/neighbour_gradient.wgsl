@@ -1,6 +1,8 @@
 // Gathers, for every anchor, the gradients by the plane samples at it, from all sampled anchors that have it as a neighbour,
 // in the order of its list. Without atomics, so the same input gives the same bits.
 
+#import tcgs::index::lane_index
+
 struct Shape {
     // anchors, plane samples of an anchor, columns of a row, unused
     shape: vec4u,
@@ -21,7 +23,7 @@ const NONE: u32 = 0xffffffffu;
 
 @compute @workgroup_size(64)
 fn neighbour_gradient(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) local: u32) {
-    let anchor = (group.x + group.y * 65535u) * 64u + local;
+    let anchor = lane_index(group, local);
     if anchor >= shape.shape.x {
         return;
     }

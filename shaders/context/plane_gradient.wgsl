@@ -2,6 +2,8 @@
 // the order of the texel's list. Without atomics, so the same input gives the same bits. An invocation sums four
 // channels of one texel.
 
+#import tcgs::index::lane_index
+
 struct Shape {
     // edge of a plane, fours of channels, first result, unused
     shape: vec4u,
@@ -20,7 +22,7 @@ struct Shape {
 fn plane_gradient(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) local: u32) {
     let area = shape.shape.x * shape.shape.x;
     let fours = shape.shape.y;
-    let index = (group.x + group.y * 65535u) * 64u + local;
+    let index = lane_index(group, local);
     if index >= 3u * fours * area {
         return;
     }

@@ -1,6 +1,8 @@
 // Adds the gradients of the weighted mean absolute difference of planes and their reconstruction, to both
 // (TC-GS (5), METHOD.md §4.6). One value an invocation.
 
+#import tcgs::index::lane_index
+
 struct Shape {
     // values, first value of the planes and of their gradients, bits of the weight over the values, unused
     shape: vec4u,
@@ -14,7 +16,7 @@ struct Shape {
 
 @compute @workgroup_size(64)
 fn plane_l1(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) local: u32) {
-    let index = (group.x + group.y * 65535u) * 64u + local;
+    let index = lane_index(group, local);
     if index >= shape.shape.x {
         return;
     }

@@ -1,6 +1,7 @@
 // From the gradients by the rendered rows, in place, to those by the rows, and to those by the base-2 logarithms of each
 // anchor's three steps. Noise and rounding residuals are constants; so the gradient of a feature or an offset is
 // that of its quantised value.
+#import tcgs::index::lane_index
 #import tcgs::model::{OFFSETS, OFFSET_COLUMN, ROW, SCALING_COLUMN}
 #import tcgs::quantise::{FIXED_NOISE, Quantisation, quantise, quantise_scaling, scaling_of, stream_of, through_floor}
 
@@ -15,7 +16,7 @@ const LOG_TWO: f32 = 0.69314718;
 
 @compute @workgroup_size(64)
 fn quantise_gradient(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) local: u32) {
-    let anchor = (group.x + group.y * 65535u) * 64u + local;
+    let anchor = lane_index(group, local);
     if anchor >= settings.shape.x {
         return;
     }

@@ -1,5 +1,6 @@
 // The rows that are rendered: every value plus noise of its step's width, or the nearest multiple of its step
 // (METHOD.md §4.2). Masked offsets are copied.
+#import tcgs::index::lane_index
 #import tcgs::model::{OFFSET_COLUMN, ROW, SCALING_COLUMN}
 #import tcgs::quantise::{FIXED_NOISE, Quantisation, quantise, quantise_scaling, scaling_of, stream_of}
 
@@ -19,7 +20,7 @@ const RUN: u32 = 1u;
 
 @compute @workgroup_size(64)
 fn quantise_rows(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) local: u32) {
-    let begin = ((group.x + group.y * 65535u) * 64u + local) * RUN;
+    let begin = (lane_index(group, local)) * RUN;
     if begin >= settings.shape.x * ROW {
         return;
     }

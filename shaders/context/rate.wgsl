@@ -4,6 +4,7 @@
 //
 // One group of one sampled anchor an invocation. Values that are not finite have no bits and no gradient.
 #import tcgs::gaussian::symbol_bits
+#import tcgs::index::group_index
 #import tcgs::model::ROW
 #import tcgs::quantise::{Quantised, ROUNDED, quantise, quantise_scaling, scaling_of, stream_of, through_floor}
 #import tcgs::rate::{GROUPS, SPACING, STEP_OCTAVES, Settings, adjustment_of, is_number, spacings}
@@ -35,7 +36,7 @@ const STEEPEST: f32 = 1e4;
 
 @compute @workgroup_size(64)
 fn rate(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) local: u32) {
-    let block = group.x + group.y * 65535u;
+    let block = group_index(group);
     let settings = groups[block % GROUPS];
     let sampled = block / GROUPS * 64u + local;
     if sampled >= list[0] {

@@ -2,6 +2,7 @@
 // adjustment that is not finite leaves its step unchanged; an overflowed forward pass leaves all unchanged.
 //
 // A separate kernel, because `rate` with the steps would bind more storage buffers than WebGPU allows.
+#import tcgs::index::group_index
 #import tcgs::rate::{GROUPS, Settings, adjustment_of}
 
 @group(0) @binding(0) var<uniform> groups: array<Settings, GROUPS>;
@@ -15,7 +16,7 @@
 
 @compute @workgroup_size(64)
 fn refresh_quant_steps(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) local: u32) {
-    let block = group.x + group.y * 65535u;
+    let block = group_index(group);
     let settings = groups[block % GROUPS];
     let sampled = block / GROUPS * 64u + local;
     if sampled >= list[0] || overflow_flag[0] != 0u {

@@ -1,6 +1,8 @@
 // Latents as they are stored: the nearest multiples of 1/16 with integers of at most 127 (their gradient passes
 // straight-through). One value an invocation.
 
+#import tcgs::index::lane_index
+
 struct Shape {
     // values, first value of the source, unused
     shape: vec4u,
@@ -12,7 +14,7 @@ struct Shape {
 
 @compute @workgroup_size(64)
 fn round_latents(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) local: u32) {
-    let index = (group.x + group.y * 65535u) * 64u + local;
+    let index = lane_index(group, local);
     if index < shape.shape.x {
         results[index] = clamp(round(16.0 * source[shape.shape.y + index]), -127.0, 127.0) * 0.0625;
     }

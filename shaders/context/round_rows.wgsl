@@ -1,6 +1,8 @@
 // The render networks as decoded from a file: each row's weights as multiples of the row's scale, the upper half of an f32,
 // and each layer's biases as multiples of the layer's scale, a whole f32.
 
+#import tcgs::index::lane_index
+
 struct Shape {
     // rows, unused, unused, unused
     rows: vec4u,
@@ -19,7 +21,7 @@ const LARGEST_HALF: u32 = 0x7f7fu;
 
 @compute @workgroup_size(64)
 fn round_rows(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) local: u32) {
-    let index = (group.x + group.y * 65535u) * 64u + local;
+    let index = lane_index(group, local);
     if index >= shape.rows.x {
         return;
     }

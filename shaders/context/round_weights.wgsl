@@ -1,6 +1,8 @@
 // Weights as the context model's layers are stored: integers over a power of two, for each row the largest with which no
 // weight's integer exceeds the row's levels. One row an invocation; reads one array, writes another.
 
+#import tcgs::index::lane_index
+
 struct Shape {
     // rows, levels of rows that state none, unused
     shape: vec4u,
@@ -31,7 +33,7 @@ fn power_of_two(exponent: i32) -> f32 {
 
 @compute @workgroup_size(64)
 fn round_weights(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) local: u32) {
-    let index = (group.x + group.y * 65535u) * 64u + local;
+    let index = lane_index(group, local);
     if index >= shape.shape.x {
         return;
     }

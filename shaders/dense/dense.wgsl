@@ -1,14 +1,16 @@
 // A dense layer over the visible anchors, or its transpose: results[o][i] = sum over k of W(o, k) source[k][i], then bias and
 // ReLU, or the gate of a ReLU (for the gradient with respect to a hidden layer). Column-major data; the weight of
-// (o, k) is parameters[weights + o * out_stride + k * in_stride].
+// (o, k) is parameters[weights + o * out_stride + k * in_stride]. MODE is 0 for no activation, 1 for ReLU, 2 for the gate.
 //
 // An invocation computes eight outputs of one column: a scene of a few thousand anchors then still occupies a GPU. The workgroup
 // reads the weights once for all of its columns.
 
+#import tcgs::index::group_index
+
 struct Layer {
     // inputs, outputs, capacity, weights
     shape: vec4u,
-    // out_stride, in_stride, bias (or NONE), mode: 0 linear, 1 ReLU, 2 gate
+    // out_stride, in_stride, bias (or NONE), unused
     access: vec4u,
     // first row in the input, first row in the output, first row in the gate, unused
     rows: vec4u,
@@ -24,8 +26,10 @@ const INPUTS: u32 = 64u;
 @group(0) @binding(1) var<storage, read> list: array<u32>;
 @group(0) @binding(2) var<storage, read> parameters: array<f32>;
 @group(0) @binding(3) var<storage, read> source: array<f32>;
-@group(0) @binding(4) var<storage, read> gate: array<f32>;
-@group(0) @binding(5) var<storage, read_write> results: array<f32>;
+@group(0) @binding(4) var<storage, read_write> results: array<f32>;
+#if MODE == 2
+@group(0) @binding(5) var<storage, read> gate: array<f32>;
+#endif
 
 // Of each input, the weights of eight outputs: zero beyond the last input.
 var<workgroup> weights: array<vec4f, 2u * INPUTS>;
@@ -52,12 +56,14 @@ fn finish(output: u32, column: u32, sum: f32) {
         if layer.access.z != NONE {
             value += parameters[layer.access.z + output];
         }
-        if layer.access.w == 1u {
-            value = max(value, 0.0);
-        }
-        if layer.access.w == 2u && !(gate[(layer.rows.z + output) * capacity + column] > 0.0) {
+#if MODE == 1
+        value = max(value, 0.0);
+#endif
+#if MODE == 2
+        if !(gate[(layer.rows.z + output) * capacity + column] > 0.0) {
             value = 0.0;
         }
+#endif
         results[(layer.rows.y + output) * capacity + column] = value;
     }
 }
@@ -72,7 +78,7 @@ fn finish_four(output: u32, column: u32, sums: vec4f) {
 @compute @workgroup_size(LANES)
 fn dense(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) local: u32) {
     let tiles = (layer.shape.y + OUTPUTS - 1u) / OUTPUTS;
-    let block = group.x + group.y * 65535u;
+    let block = group_index(group);
     let strip = block / tiles;
     let first = (block - strip * tiles) * OUTPUTS;
     let count = list[0];

@@ -6,6 +6,7 @@
 // inputs' values once, two a lane, and share them, since reads dominate on a software adapter. Where a subgroup has more
 // lanes, every further eight process other anchors of the run.
 
+#import tcgs::index::group_index
 #import tcgs::runs::run_length
 
 struct Layer {
@@ -142,7 +143,7 @@ fn store(base: u32, output: u32, input: u32, sums: vec4f) {
 fn dense_weight_gradient(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) lane: u32) {
     let input_tiles = (layer.shape.x + INPUTS - 1u) / INPUTS;
     let output_tiles = (layer.shape.y + OUTPUTS - 1u) / OUTPUTS;
-    let block = group.x + group.y * 65535u;
+    let block = group_index(group);
     let k = (block % input_tiles) * INPUTS;
     let first = ((block / input_tiles) % output_tiles) * OUTPUTS;
     let run = block / (input_tiles * output_tiles);

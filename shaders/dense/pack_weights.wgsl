@@ -1,6 +1,8 @@
 // The weights of all layers, and of their transposes, for `dense_software`: of each output all inputs, in vectors of four, zero past
 // the last.
 
+#import tcgs::index::lane_index
+
 struct Product {
     // inputs, outputs, first weight, vectors an output
     shape: vec4u,
@@ -19,7 +21,7 @@ fn weight(product: Product, output: u32, input: u32) -> f32 {
 
 @compute @workgroup_size(64)
 fn pack_weights(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) local: u32) {
-    let at = (group.x + group.y * 65535u) * 64u + local;
+    let at = lane_index(group, local);
     var first = 0u;
     for (var i = 0u; i < arrayLength(&products); i++) {
         let product = products[i];

@@ -1,5 +1,6 @@
 // Adds the runs' partial sums of every parameter in a fixed order: every fourth run, then the four sums.
 
+#import tcgs::index::lane_index
 #import tcgs::runs::run_length
 
 struct Shape {
@@ -14,7 +15,7 @@ struct Shape {
 
 @compute @workgroup_size(64)
 fn sum_partials(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) local: u32) {
-    let parameter = (group.x + group.y * 65535u) * 64u + local;
+    let parameter = lane_index(group, local);
     let stride = shape.shape.x;
     if parameter >= stride {
         return;

@@ -1,5 +1,7 @@
 // Adds the runs' partial sums of the weights and biases of all layers, as `dense_weight_gradient_software` lays them out, in run order.
 
+#import tcgs::index::lane_index
+
 struct Layer {
     // inputs, outputs, columns a run, end of the layer's vectors in a run
     shape: vec4u,
@@ -14,7 +16,7 @@ struct Layer {
 
 @compute @workgroup_size(64)
 fn sum_weight_gradient(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) local: u32) {
-    let at = (group.x + group.y * 65535u) * 64u + local;
+    let at = lane_index(group, local);
     let all = layers[0].places.z;
     if at >= all {
         return;

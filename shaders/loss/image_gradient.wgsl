@@ -1,6 +1,7 @@
 // The gradient of the image loss by each rendered sample: L1's sign, and SSIM's through the second half of the window's
 // adjoint, along rows (METHOD.md §2.4). The fourth component, the gradient by alpha, stays zero. Also each run's
 // share of L1 and of the squared error. One channel an invocation.
+#import tcgs::index::lane_index
 #import tcgs::ssim::{Image, Tail, REACH, STRIDE, BLOCK, four, held, inside, places, run_of, runs, slide, total, unpack}
 
 @group(0) @binding(0) var<uniform> image: Image;
@@ -12,7 +13,7 @@
 
 @compute @workgroup_size(64)
 fn image_gradient(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) local: u32) {
-    let index = (group.x + group.y * 65535u) * 64u + local;
+    let index = lane_index(group, local);
     let width = image.size.x;
     let run = run_of(image, index, image.size.y, width);
     if run.channel == 3u {

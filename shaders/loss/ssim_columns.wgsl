@@ -1,6 +1,7 @@
 // Second half of SSIM's window, along columns; the SSIM map with its derivatives by E[x], E[x^2 + y^2] and E[(x - y)^2]; and of these the
 // first half of the window's adjoint, along the same column. The window is symmetric and zero-padded, so it is its own
 // adjoint. Also each run's partial SSIM. One channel an invocation.
+#import tcgs::index::lane_index
 #import tcgs::ssim::{Image, Tail, REACH, STRIDE, BLOCK, four, held, inside, places, run_of, similarity, slide, total}
 
 @group(0) @binding(0) var<uniform> image: Image;
@@ -10,7 +11,7 @@
 
 @compute @workgroup_size(64)
 fn ssim_columns(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) local: u32) {
-    let index = (group.x + group.y * 65535u) * 64u + local;
+    let index = lane_index(group, local);
     let height = image.size.y;
     let run = run_of(image, index, image.size.x, height);
     if run.channel == 3u {

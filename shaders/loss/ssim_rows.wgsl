@@ -1,5 +1,6 @@
 // First half of SSIM's window: along rows, the moments x, y, x^2 + y^2 and (x - y)^2 of render and photograph, one channel
 // an invocation. The squares are needed only as their sum.
+#import tcgs::index::lane_index
 #import tcgs::ssim::{Image, Tail, REACH, STRIDE, BLOCK, four, held, inside, places, run_of, slide, unpack}
 
 @group(0) @binding(0) var<uniform> image: Image;
@@ -10,7 +11,7 @@
 @compute @workgroup_size(64)
 fn ssim_rows(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) local: u32) {
     let width = image.size.x;
-    let run = run_of(image, (group.x + group.y * 65535u) * 64u + local, image.size.y, width);
+    let run = run_of(image, lane_index(group, local), image.size.y, width);
     if run.channel == 3u {
         return;
     }

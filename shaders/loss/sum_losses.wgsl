@@ -1,4 +1,5 @@
 // Sums the partial losses in runs; the host adds the runs. A run on hardware is short, since its lanes wait for their reads in turn.
+#import tcgs::index::group_index
 #import tcgs::ssim::Image
 
 const LANES: u32 = 64u;
@@ -16,7 +17,7 @@ var<workgroup> shared_sums: array<vec4f, LANES>;
 
 @compute @workgroup_size(LANES)
 fn sum_losses(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) local: u32) {
-    let run = group.x + group.y * 65535u;
+    let run = group_index(group);
     let last = min((run + 1u) * RUN, image.size.w);
     var sum = vec4f(0.0);
     for (var share = run * RUN + local; share < last; share += LANES) {

@@ -3,6 +3,8 @@
 // those of the other losses (TC-GS (6), METHOD.md §4.7). Both levels lie within blocks of 4 x 4 pixels:
 // one block an invocation. Outside the image both are zero and need no gradient.
 
+#import tcgs::index::lane_index
+
 struct Constraint {
     // width, height, blocks in a row, blocks
     size: vec4u,
@@ -84,7 +86,7 @@ fn add_block(place: vec2u, fine: mat4x3f, d_low: vec3f) {
 
 @compute @workgroup_size(64)
 fn wavelet(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) local: u32) {
-    let index = (group.x + group.y * 65535u) * 64u + local;
+    let index = lane_index(group, local);
     if index >= constraint.size.w {
         return;
     }

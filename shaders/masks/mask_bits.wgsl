@@ -1,5 +1,6 @@
 // The binary masks of the logits (METHOD.md §4.1): bit k of an anchor's word is set where the logit of its offset k
 // is above the level.
+#import tcgs::index::lane_index
 #import tcgs::model::OFFSETS
 
 struct Settings {
@@ -15,7 +16,7 @@ struct Settings {
 
 @compute @workgroup_size(64)
 fn mask_bits(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) local: u32) {
-    let anchor = (group.x + group.y * 65535u) * 64u + local;
+    let anchor = lane_index(group, local);
     if anchor >= settings.count.x {
         return;
     }

@@ -1,4 +1,5 @@
 // The gradient of the mask loss, weight times the sum of the logistic of every offset's logit, by the logits.
+#import tcgs::index::lane_index
 #import tcgs::model::logistic
 
 struct Settings {
@@ -14,7 +15,7 @@ struct Settings {
 
 @compute @workgroup_size(64)
 fn mask_loss(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) local: u32) {
-    let i = (group.x + group.y * 65535u) * 64u + local;
+    let i = lane_index(group, local);
     if i >= settings.count.x {
         return;
     }

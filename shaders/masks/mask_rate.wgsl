@@ -1,6 +1,7 @@
 // Adds the rate's gradient by the mask logits of the sampled anchors: the mask multiplies the bits of its offset's three
 // coordinates, and passes the gradient on straight-through, as the logistic of the logit would. A masked offset has no bits.
 // Each anchor is sampled at most once.
+#import tcgs::index::lane_index
 #import tcgs::model::{OFFSETS, logistic}
 
 struct Settings {
@@ -18,7 +19,7 @@ struct Settings {
 
 @compute @workgroup_size(64)
 fn mask_rate(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) local: u32) {
-    let sampled = (group.x + group.y * 65535u) * 64u + local;
+    let sampled = lane_index(group, local);
     if sampled >= list[0] {
         return;
     }

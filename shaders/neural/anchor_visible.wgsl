@@ -1,6 +1,7 @@
 // Flags the anchors that may reach the image: each is projected as an axis-aligned Gaussian of its offset scale
 // (METHOD.md §2.3), and the three-sigma box of the projection must touch the image.
 #import tcgs::anchor_view::{View, to_camera}
+#import tcgs::index::lane_index
 #import tcgs::model::{ROW, SCALING_COLUMN}
 
 @group(0) @binding(0) var<uniform> view: View;
@@ -10,7 +11,7 @@
 
 @compute @workgroup_size(64)
 fn anchor_visible(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) local: u32) {
-    let anchor = (group.x + group.y * 65535u) * 64u + local;
+    let anchor = lane_index(group, local);
     if anchor >= view.counts.x {
         return;
     }

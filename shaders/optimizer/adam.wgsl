@@ -6,6 +6,7 @@
 // Buffers end on 16 bytes, so the last four may reach past the elements but not past the buffer. What is there does not change.
 
 #import tcgs::finite::each_below
+#import tcgs::index::lane_index
 
 struct Settings {
     // elements, length of the rate table, unused, unused
@@ -39,7 +40,7 @@ fn rates_from(element: u32) -> vec4f {
 
 @compute @workgroup_size(64)
 fn adam(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) local: u32) {
-    let i = (group.x + group.y * 65535u) * 64u + local;
+    let i = lane_index(group, local);
     if 4u * i >= settings.shape.x || overflow_flag[0] != 0u {
         return;
     }

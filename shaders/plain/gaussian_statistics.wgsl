@@ -1,6 +1,7 @@
 // Adds one view to the statistics that decide the growth of plain Gaussians: a row is the sum of screen-gradient norms,
 // the count of views, and the largest radius on screen in pixels. Screen gradients are in half-image units: pixels
 // times half the width and height. An overflowed pass adds nothing.
+#import tcgs::index::lane_index
 #import tcgs::plain::View
 
 const ROW: u32 = 3u;
@@ -13,7 +14,7 @@ const ROW: u32 = 3u;
 
 @compute @workgroup_size(64)
 fn gaussian_statistics(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) local: u32) {
-    let i = (group.x + group.y * 65535u) * 64u + local;
+    let i = lane_index(group, local);
     if i >= view.count || overflow_flag[0] != 0u {
         return;
     }

@@ -2,6 +2,7 @@
 // spherical harmonics towards the camera, at least zero. Gaussians behind the near plane or too transparent to reach a pixel
 // get opacity zero, and their coefficients are not read.
 #import tcgs::geometry::{quat_row, scale_row}
+#import tcgs::index::lane_index
 #import tcgs::plain::{
     View, BASE, LOG_SCALE, QUAT, OPACITY, COLOR, DEGREE, ALPHA_MIN, SH_ZERO, bands_at, basis_of_one, basis_of_two,
     basis_of_three, ray_to, to_camera,
@@ -19,7 +20,7 @@ fn coefficient(at: u32) -> vec3f {
 
 @compute @workgroup_size(64)
 fn shade_gaussians(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) local: u32) {
-    let i = (group.x + group.y * 65535u) * 64u + local;
+    let i = lane_index(group, local);
     if i >= view.count {
         return;
     }

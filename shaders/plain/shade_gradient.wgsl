@@ -4,6 +4,7 @@
 // On hardware, the rows of a workgroup's Gaussians pass through workgroup memory, so that neighboring lanes read and write
 // neighboring values; the gradients replace the coefficients there.
 #import tcgs::geometry::{quat_row, scale_row}
+#import tcgs::index::group_index
 #import tcgs::plain::{
     View, BASE, LOG_SCALE, QUAT, OPACITY, COLOR, BAND_VALUES, DEGREE, SH_ZERO, bands_at, basis_of_one, basis_of_two,
     basis_of_three, ray_to, slope_of_one, slope_of_two, slope_of_three,
@@ -215,7 +216,7 @@ fn differentiate(i: u32) {
 
 @compute @workgroup_size(LANES)
 fn shade_gradient(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) local: u32) {
-    let first = (group.x + group.y * 65535u) * LANES;
+    let first = group_index(group) * LANES;
     // Uniform: all invocations of a workgroup return here or none.
     if first >= view.count {
         return;

@@ -4,11 +4,11 @@
 const LANES: u32 = #{LANES}u;
 
 // By invocation: a value from the lane that mirrors its own, the sum over all lanes, and the ballot of every third.
-@group(0) @binding(0) var<storage, read_write> found: array<vec4<u32>>;
+@group(0) @binding(0) var<storage, read_write> found: array<vec4u>;
 
 @compute @workgroup_size(LANES)
 fn subgroup_probe(
-    @builtin(workgroup_id) group: vec3<u32>,
+    @builtin(workgroup_id) group: vec3u,
     @builtin(local_invocation_index) local: u32,
     @builtin(subgroup_invocation_id) lane: u32,
 ) {
@@ -19,5 +19,5 @@ fn subgroup_probe(
         sum += subgroupShuffleXor(sum, stride);
     }
     let ballot = subgroupBallot(local % 3u == 0u);
-    found[own] = vec4<u32>(mirrored, sum, ballot.xy);
+    found[own] = vec4u(mirrored, sum, ballot.xy);
 }

@@ -10,7 +10,7 @@
 @group(0) @binding(2) var<storage, read> ids: array<u32>;
 // The first slot of each visible Gaussian: prefix sums of the tiles that they touch.
 @group(0) @binding(3) var<storage, read> starts: array<u32>;
-@group(0) @binding(4) var<storage, read> splats: array<vec4<f32>>;
+@group(0) @binding(4) var<storage, read> splats: array<vec4f>;
 @group(0) @binding(5) var<storage, read_write> keys: array<u32>;
 @group(0) @binding(6) var<storage, read_write> slots: array<u32>;
 @group(0) @binding(7) var<storage, read_write> slot_ids: array<u32>;
@@ -24,8 +24,8 @@ fn put(slot: u32, tile: u32, id: u32) {
 
 @compute @workgroup_size(64)
 fn emit(
-    @builtin(workgroup_id) group: vec3<u32>,
-    @builtin(num_workgroups) groups: vec3<u32>,
+    @builtin(workgroup_id) group: vec3u,
+    @builtin(num_workgroups) groups: vec3u,
     @builtin(local_invocation_index) local: u32,
 ) {
     let begin = part_of(group, groups) * 64u + local;
@@ -42,7 +42,7 @@ fn emit(
         let gaussian = ids[i];
         let place = splats[3u * gaussian];
         let conic = splats[3u * gaussian + 1u];
-        let extent = vec2<f32>(conic.w, splats[3u * gaussian + 2u].w);
+        let extent = vec2f(conic.w, splats[3u * gaussian + 2u].w);
         var slot = starts[i];
         first_slots[gaussian] = slot;
         // Writes exactly as many slots as `project` counted, even if this kernel rounds differently.
@@ -55,7 +55,7 @@ fn emit(
         let bounds = tile_bounds(place.xy, extent, view.tiles);
         for (var y = bounds.y; y < bounds.w; y++) {
             for (var x = bounds.x; x < bounds.z; x++) {
-                if slot < end && touches_tile(place, conic.xyz, ridges, vec2<u32>(x, y)) {
+                if slot < end && touches_tile(place, conic.xyz, ridges, vec2u(x, y)) {
                     put(slot, y * view.tiles.x + x, gaussian);
                     slot += 1u;
                 }

@@ -12,18 +12,18 @@
 @group(0) @binding(4) var<storage, read> first_slots: array<u32>;
 @group(0) @binding(5) var<storage, read> slot_gradients: array<f32>;
 // Three vectors a Gaussian, laid out as the splats.
-@group(0) @binding(6) var<storage, read_write> v_splats: array<vec4<f32>>;
+@group(0) @binding(6) var<storage, read_write> v_splats: array<vec4f>;
 
 const RUN: u32 = 256u;
 
 struct Sums {
-    place: vec4<f32>,
-    conic: vec4<f32>,
-    color: vec4<f32>,
+    place: vec4f,
+    conic: vec4f,
+    color: vec4f,
 }
 
 fn zero() -> Sums {
-    return Sums(vec4<f32>(0.0), vec4<f32>(0.0), vec4<f32>(0.0));
+    return Sums(vec4f(0.0), vec4f(0.0), vec4f(0.0));
 }
 
 fn sum(a: Sums, b: Sums) -> Sums {
@@ -34,9 +34,9 @@ fn slots(first: u32, end: u32) -> Sums {
     var sums = zero();
     for (var slot = first; slot < end; slot++) {
         let j = 9u * slot;
-        sums.place += vec4<f32>(slot_gradients[j], slot_gradients[j + 1u], slot_gradients[j + 2u], 0.0);
-        sums.conic += vec4<f32>(slot_gradients[j + 3u], slot_gradients[j + 4u], slot_gradients[j + 5u], 0.0);
-        sums.color += vec4<f32>(slot_gradients[j + 6u], slot_gradients[j + 7u], slot_gradients[j + 8u], 0.0);
+        sums.place += vec4f(slot_gradients[j], slot_gradients[j + 1u], slot_gradients[j + 2u], 0.0);
+        sums.conic += vec4f(slot_gradients[j + 3u], slot_gradients[j + 4u], slot_gradients[j + 5u], 0.0);
+        sums.color += vec4f(slot_gradients[j + 6u], slot_gradients[j + 7u], slot_gradients[j + 8u], 0.0);
     }
     return sums;
 }
@@ -51,8 +51,8 @@ fn runs(first: u32, end: u32) -> Sums {
 
 @compute @workgroup_size(64)
 fn gather(
-    @builtin(workgroup_id) group: vec3<u32>,
-    @builtin(num_workgroups) groups: vec3<u32>,
+    @builtin(workgroup_id) group: vec3u,
+    @builtin(num_workgroups) groups: vec3u,
     @builtin(local_invocation_index) local: u32,
 ) {
     let begin = part_of(group, groups) * 64u + local;

@@ -11,12 +11,12 @@
 #else
 @group(0) @binding(1) var<storage, read> count: array<u32>;
 #endif
-@group(0) @binding(2) var<storage, read> geometry: array<vec4<f32>>;
+@group(0) @binding(2) var<storage, read> geometry: array<vec4f>;
 @group(0) @binding(3) var<storage, read> tiles: array<u32>;
-@group(0) @binding(4) var<storage, read> v_splats: array<vec4<f32>>;
-@group(0) @binding(5) var<storage, read_write> v_geometry: array<vec4<f32>>;
-@group(0) @binding(6) var<storage, read_write> v_colors: array<vec4<f32>>;
-@group(0) @binding(7) var<storage, read_write> v_means_image: array<vec4<f32>>;
+@group(0) @binding(4) var<storage, read> v_splats: array<vec4f>;
+@group(0) @binding(5) var<storage, read_write> v_geometry: array<vec4f>;
+@group(0) @binding(6) var<storage, read_write> v_colors: array<vec4f>;
+@group(0) @binding(7) var<storage, read_write> v_means_image: array<vec4f>;
 #ifdef SOFTWARE
 @group(0) @binding(8) var<storage, read> ids: array<u32>;
 #endif
@@ -35,23 +35,23 @@ fn project_one_backward(i: u32) {
     let q = raw * inverse_norm;
     let w = q.x;
     let v = q.yzw;
-    let rx = vec3<f32>(1.0 - 2.0 * (v.y * v.y + v.z * v.z), 2.0 * (v.x * v.y + w * v.z), 2.0 * (v.x * v.z - w * v.y));
-    let ry = vec3<f32>(2.0 * (v.x * v.y - w * v.z), 1.0 - 2.0 * (v.x * v.x + v.z * v.z), 2.0 * (v.y * v.z + w * v.x));
-    let rr = vec3<f32>(2.0 * (v.x * v.z + w * v.y), 2.0 * (v.y * v.z - w * v.x), 1.0 - 2.0 * (v.x * v.x + v.y * v.y));
+    let rx = vec3f(1.0 - 2.0 * (v.y * v.y + v.z * v.z), 2.0 * (v.x * v.y + w * v.z), 2.0 * (v.x * v.z - w * v.y));
+    let ry = vec3f(2.0 * (v.x * v.y - w * v.z), 1.0 - 2.0 * (v.x * v.x + v.z * v.z), 2.0 * (v.y * v.z + w * v.x));
+    let rr = vec3f(2.0 * (v.x * v.z + w * v.y), 2.0 * (v.y * v.z - w * v.x), 1.0 - 2.0 * (v.x * v.x + v.y * v.y));
     let rz = 1.0 / t.z;
     let slope = clamp(t.xy * rz, view.slope_low, view.slope_high);
     let free = slope == t.xy * rz;
     let row_u = view.focal.x * rz * (view.right.xyz - slope.x * view.forward.xyz);
     let row_v = view.focal.y * rz * (view.down.xyz - slope.y * view.forward.xyz);
-    let nu = scale * vec3<f32>(dot(row_u, rx), dot(row_u, ry), dot(row_u, rr));
-    let nv = scale * vec3<f32>(dot(row_v, rx), dot(row_v, ry), dot(row_v, rr));
+    let nu = scale * vec3f(dot(row_u, rx), dot(row_u, ry), dot(row_u, rr));
+    let nv = scale * vec3f(dot(row_v, rx), dot(row_v, ry), dot(row_v, rr));
     let normal = cross(nu, nv);
     let sharp = dot(normal, normal);
     let a = dot(nu, nu) + view.low_pass;
     let b = dot(nu, nv);
     let c = dot(nv, nv) + view.low_pass;
     let determinant = sharp + view.low_pass * (dot(nu, nu) + dot(nv, nv) + view.low_pass);
-    let conic = vec3<f32>(c, -b, a) / determinant;
+    let conic = vec3f(c, -b, a) / determinant;
 
     // Covariance: dC = -K dK K, with the off-diagonal gradient counted once.
     let half_y = 0.5 * v_conic.y;
@@ -81,12 +81,12 @@ fn project_one_backward(i: u32) {
     let v_ax = v_nu.x * row_u + v_nv.x * row_v;
     let v_ay = v_nu.y * row_u + v_nv.y * row_v;
     let v_az = v_nu.z * row_u + v_nv.z * row_v;
-    let v_scale = vec3<f32>(dot(rx, v_ax), dot(ry, v_ay), dot(rr, v_az));
+    let v_scale = vec3f(dot(rx, v_ax), dot(ry, v_ay), dot(rr, v_az));
     let dx = scale.x * v_ax;
     let dy = scale.y * v_ay;
     let dz = scale.z * v_az;
-    let twist = vec3<f32>(dy.z - dz.y, dz.x - dx.z, dx.y - dy.x);
-    let v_q = 2.0 * vec4<f32>(
+    let twist = vec3f(dy.z - dz.y, dz.x - dx.z, dx.y - dy.x);
+    let v_q = 2.0 * vec4f(
         dot(v, twist),
         v.y * (dx.y + dy.x) + v.z * (dz.x + dx.z) + w * twist.x - 2.0 * v.x * (dy.y + dz.z),
         v.x * (dx.y + dy.x) + w * twist.y + v.z * (dy.z + dz.y) - 2.0 * v.y * (dx.x + dz.z),
@@ -97,29 +97,29 @@ fn project_one_backward(i: u32) {
     // Rows: row_u = (f/z) (right - slope forward), and the projected centre.
     let v_row_u = v_nu.x * scale.x * rx + v_nu.y * scale.y * ry + v_nu.z * scale.z * rr;
     let v_row_v = v_nv.x * scale.x * rx + v_nv.y * scale.y * ry + v_nv.z * scale.z * rr;
-    let along = vec2<f32>(dot(v_row_u, view.right.xyz), dot(v_row_v, view.down.xyz));
-    let depth = vec2<f32>(dot(v_row_u, view.forward.xyz), dot(v_row_v, view.forward.xyz));
+    let along = vec2f(dot(v_row_u, view.right.xyz), dot(v_row_v, view.down.xyz));
+    let depth = vec2f(dot(v_row_u, view.forward.xyz), dot(v_row_v, view.forward.xyz));
     let scale_z = view.focal * rz * rz;
     let v_center = v_place.xy;
-    let v_xy = view.focal * rz * v_center - select(vec2<f32>(0.0), scale_z * depth, free);
-    let curve = select(vec2<f32>(1.0), vec2<f32>(2.0), free) * slope * depth;
+    let v_xy = view.focal * rz * v_center - select(vec2f(0.0), scale_z * depth, free);
+    let curve = select(vec2f(1.0), vec2f(2.0), free) * slope * depth;
     let v_z = dot(scale_z, curve - along - t.xy * v_center);
     let v_mean = v_xy.x * view.right.xyz + v_xy.y * view.down.xyz + v_z * view.forward.xyz;
 
-    v_geometry[i] = vec4<f32>(v_mean, v_opacity);
-    v_geometry[scale_row(view.gaussian_capacity, i)] = vec4<f32>(v_scale, 0.0);
+    v_geometry[i] = vec4f(v_mean, v_opacity);
+    v_geometry[scale_row(view.gaussian_capacity, i)] = vec4f(v_scale, 0.0);
     v_geometry[quat_row(view.gaussian_capacity, i)] = v_raw;
     v_colors[i] = v_color;
     // Three standard deviations along the longer axis.
     let middle = 0.5 * (a + c);
     let radius = 3.0 * sqrt(middle + sqrt(max(0.0, middle * middle - determinant)));
-    v_means_image[i] = vec4<f32>(v_center, f32(tiles[i]), radius);
+    v_means_image[i] = vec4f(v_center, f32(tiles[i]), radius);
 }
 
 @compute @workgroup_size(64)
 fn project_backward(
-    @builtin(workgroup_id) group: vec3<u32>,
-    @builtin(num_workgroups) groups: vec3<u32>,
+    @builtin(workgroup_id) group: vec3u,
+    @builtin(num_workgroups) groups: vec3u,
     @builtin(local_invocation_index) local: u32,
 ) {
     let begin = part_of(group, groups) * 64u + local;
@@ -134,11 +134,11 @@ fn project_backward(
         if tiles[i] > 0u {
             project_one_backward(i);
         } else {
-            v_geometry[i] = vec4<f32>(0.0);
-            v_geometry[scale_row(view.gaussian_capacity, i)] = vec4<f32>(0.0);
-            v_geometry[quat_row(view.gaussian_capacity, i)] = vec4<f32>(0.0);
-            v_colors[i] = vec4<f32>(0.0);
-            v_means_image[i] = vec4<f32>(0.0);
+            v_geometry[i] = vec4f(0.0);
+            v_geometry[scale_row(view.gaussian_capacity, i)] = vec4f(0.0);
+            v_geometry[quat_row(view.gaussian_capacity, i)] = vec4f(0.0);
+            v_colors[i] = vec4f(0.0);
+            v_means_image[i] = vec4f(0.0);
         }
     }
 #endif

@@ -11,13 +11,13 @@
 #import tcgs::spread::part_of
 
 @group(0) @binding(0) var<uniform> view: View;
-@group(0) @binding(1) var<storage, read> ranges: array<vec2<u32>>;
+@group(0) @binding(1) var<storage, read> ranges: array<vec2u>;
 @group(0) @binding(2) var<storage, read> list: array<u32>;
 @group(0) @binding(3) var<storage, read> slots: array<u32>;
-@group(0) @binding(4) var<storage, read> splats: array<vec4<f32>>;
-@group(0) @binding(5) var<storage, read> image: array<vec4<f32>>;
+@group(0) @binding(4) var<storage, read> splats: array<vec4f>;
+@group(0) @binding(5) var<storage, read> image: array<vec4f>;
 @group(0) @binding(6) var<storage, read> last: array<u32>;
-@group(0) @binding(7) var<storage, read> v_image: array<vec4<f32>>;
+@group(0) @binding(7) var<storage, read> v_image: array<vec4f>;
 // Nine numbers a slot: centre (2), opacity, conic (3), colour (3).
 @group(0) @binding(8) var<storage, read_write> slot_gradients: array<f32>;
 
@@ -33,18 +33,18 @@ const PIXELS: u32 = TILE * TILE;
 var<workgroup> transmittances: array<f32, PIXELS>;
 var<workgroup> remainders: array<f32, PIXELS>;
 var<workgroup> lasts: array<u32, PIXELS>;
-var<workgroup> weights: array<vec4<f32>, PIXELS>;
+var<workgroup> weights: array<vec4f, PIXELS>;
 
 struct Stage {
-    place: vec4<f32>,
-    conic: vec4<f32>,
-    color: vec4<f32>,
+    place: vec4f,
+    conic: vec4f,
+    color: vec4f,
 }
 
 struct Pixel {
-    center: vec2<f32>,
+    center: vec2f,
     // dL/d(r, g, b, alpha).
-    weight: vec4<f32>,
+    weight: vec4f,
     last: u32,
     transmittance: f32,
     // Contribution of the remaining Gaussians and the background to the loss's differential.
@@ -53,9 +53,9 @@ struct Pixel {
 
 struct Gradient {
     // Centre (xy), opacity (z), first conic entry (w).
-    a: vec4<f32>,
+    a: vec4f,
     // Other conic entries (xy), red and green (zw).
-    b: vec4<f32>,
+    b: vec4f,
     // Blue.
     c: f32,
 }
@@ -91,23 +91,23 @@ fn visit(k: u32, mask: u32, base: u32, stage: Stage, pixel: ptr<function, Pixel>
         let alpha = min(ALPHA_MAX, raw);
         if !(base + k >= (*pixel).last || power < 0.0 || alpha < ALPHA_MIN) {
             let weight = alpha * (*pixel).transmittance;
-            let value = dot((*pixel).weight, vec4<f32>(splat.color.xyz, 1.0));
+            let value = dot((*pixel).weight, vec4f(splat.color.xyz, 1.0));
             (*pixel).remainder -= weight * value;
             let v_alpha = (*pixel).transmittance * value - (*pixel).remainder / (1.0 - alpha);
             (*pixel).transmittance *= 1.0 - alpha;
             let v_raw = select(v_alpha, 0.0, raw > ALPHA_MAX);
             let v_power = -raw * v_raw;
             let v_color = weight * (*pixel).weight.xyz;
-            let v_center = v_power * vec2<f32>(dot(splat.conic.xy, d), dot(splat.conic.yz, d));
-            (*gradient).a += vec4<f32>(v_center, falloff * v_raw, 0.5 * d.x * d.x * v_power);
-            (*gradient).b += vec4<f32>(d.x * d.y * v_power, 0.5 * d.y * d.y * v_power, v_color.xy);
+            let v_center = v_power * vec2f(dot(splat.conic.xy, d), dot(splat.conic.yz, d));
+            (*gradient).a += vec4f(v_center, falloff * v_raw, 0.5 * d.x * d.x * v_power);
+            (*gradient).b += vec4f(d.x * d.y * v_power, 0.5 * d.y * d.y * v_power, v_color.xy);
             (*gradient).c += v_color.z;
         }
     }
     return;
 }
 
-fn store(slot: u32, a: vec4<f32>, b: vec4<f32>, c: f32) {
+fn store(slot: u32, a: vec4f, b: vec4f, c: f32) {
     let i = 9u * slot;
     slot_gradients[i] = a.x;
     slot_gradients[i + 1u] = a.y;
@@ -124,9 +124,9 @@ fn store(slot: u32, a: vec4<f32>, b: vec4<f32>, c: f32) {
 // Sums of eight vectors over the lanes; lane l receives the sum of the (l mod 8)-th.
 fn sum_lanes(
     lane: u32,
-    v0: vec4<f32>, v1: vec4<f32>, v2: vec4<f32>, v3: vec4<f32>,
-    v4: vec4<f32>, v5: vec4<f32>, v6: vec4<f32>, v7: vec4<f32>,
-) -> vec4<f32> {
+    v0: vec4f, v1: vec4f, v2: vec4f, v3: vec4f,
+    v4: vec4f, v5: vec4f, v6: vec4f, v7: vec4f,
+) -> vec4f {
     let upper = (lane & 4u) != 0u;
     let a0 = select(v0, v4, upper) + subgroupShuffleXor(select(v4, v0, upper), 4u);
     let a1 = select(v1, v5, upper) + subgroupShuffleXor(select(v5, v1, upper), 4u);
@@ -159,8 +159,8 @@ fn share(lane: u32, k: u32, own: Gradient) {
 
 @compute @workgroup_size(LANES)
 fn raster_backward(
-    @builtin(workgroup_id) group: vec3<u32>,
-    @builtin(num_workgroups) groups: vec3<u32>,
+    @builtin(workgroup_id) group: vec3u,
+    @builtin(num_workgroups) groups: vec3u,
 #ifdef SUBGROUPS
     @builtin(subgroup_invocation_id) lane: u32,
 #else
@@ -171,20 +171,20 @@ fn raster_backward(
     if tile >= view.tiles.x * view.tiles.y {
         return;
     }
-    let origin = vec2<u32>(tile % view.tiles.x, tile / view.tiles.x) * TILE;
+    let origin = vec2u(tile % view.tiles.x, tile / view.tiles.x) * TILE;
     let range = ranges[tile];
     let count = range.y - range.x;
     var furthest = 0u;
     for (var p = lane; p < PIXELS; p += LANES) {
         let position = origin + tile_pixel(p);
-        var weight = vec4<f32>(0.0);
+        var weight = vec4f(0.0);
         var remainder = 0.0;
         var taken = 0u;
         if all(position < view.size) {
             let i = position.y * view.size.x + position.x;
             let seen = image[i];
             weight = v_image[i];
-            remainder = dot(weight, vec4<f32>(seen.xyz, 1.0 - seen.w));
+            remainder = dot(weight, vec4f(seen.xyz, 1.0 - seen.w));
             taken = last[i];
         }
         transmittances[p] = 1.0;
@@ -207,7 +207,7 @@ fn raster_backward(
     for (var base = 0u; base < used; base += CHUNK) {
         let item = range.x + base + lane;
         let owns = lane < CHUNK && item < range.y;
-        var stage = Stage(vec4<f32>(0.0), vec4<f32>(1.0), vec4<f32>(0.0));
+        var stage = Stage(vec4f(0.0), vec4f(1.0), vec4f(0.0));
         var present = false;
         if owns {
             let id = list[item];
@@ -223,22 +223,22 @@ fn raster_backward(
         }
         workgroupBarrier();
 #endif
-        var g0 = Gradient(vec4<f32>(0.0), vec4<f32>(0.0), 0.0);
-        var g1 = Gradient(vec4<f32>(0.0), vec4<f32>(0.0), 0.0);
-        var g2 = Gradient(vec4<f32>(0.0), vec4<f32>(0.0), 0.0);
-        var g3 = Gradient(vec4<f32>(0.0), vec4<f32>(0.0), 0.0);
-        var g4 = Gradient(vec4<f32>(0.0), vec4<f32>(0.0), 0.0);
-        var g5 = Gradient(vec4<f32>(0.0), vec4<f32>(0.0), 0.0);
-        var g6 = Gradient(vec4<f32>(0.0), vec4<f32>(0.0), 0.0);
-        var g7 = Gradient(vec4<f32>(0.0), vec4<f32>(0.0), 0.0);
+        var g0 = Gradient(vec4f(0.0), vec4f(0.0), 0.0);
+        var g1 = Gradient(vec4f(0.0), vec4f(0.0), 0.0);
+        var g2 = Gradient(vec4f(0.0), vec4f(0.0), 0.0);
+        var g3 = Gradient(vec4f(0.0), vec4f(0.0), 0.0);
+        var g4 = Gradient(vec4f(0.0), vec4f(0.0), 0.0);
+        var g5 = Gradient(vec4f(0.0), vec4f(0.0), 0.0);
+        var g6 = Gradient(vec4f(0.0), vec4f(0.0), 0.0);
+        var g7 = Gradient(vec4f(0.0), vec4f(0.0), 0.0);
 #ifdef SUBGROUPS
         let ridges = ridges_of(stage.conic.xyz);
 #endif
         for (var block = 0u; block < PIXELS; block += LANES) {
             let p = block + lane;
 #ifdef SUBGROUPS
-            let low = vec2<f32>(origin + tile_pixel(block)) + 0.5;
-            let high = vec2<f32>(origin + tile_pixel(block + LANES - 1u)) + 0.5;
+            let low = vec2f(origin + tile_pixel(block)) + 0.5;
+            let high = vec2f(origin + tile_pixel(block + LANES - 1u)) + 0.5;
             let mask = subgroupBallot(present && touches(stage.place, stage.conic.xyz, ridges, low, high)).x;
             var is_reached = mask != 0u;
             if is_reached {
@@ -249,7 +249,7 @@ fn raster_backward(
             let is_reached = true;
 #endif
             if is_reached {
-                let center = vec2<f32>(origin + tile_pixel(p)) + 0.5;
+                let center = vec2f(origin + tile_pixel(p)) + 0.5;
                 var pixel = Pixel(center, weights[p], lasts[p], transmittances[p], remainders[p]);
                 visit(0u, mask, base, stage, &pixel, &g0);
                 visit(1u, mask, base, stage, &pixel, &g1);
@@ -268,8 +268,8 @@ fn raster_backward(
         let b = sum_lanes(lane, g0.b, g1.b, g2.b, g3.b, g4.b, g5.b, g6.b, g7.b);
         let c = sum_lanes(
             lane,
-            vec4<f32>(g0.c), vec4<f32>(g1.c), vec4<f32>(g2.c), vec4<f32>(g3.c),
-            vec4<f32>(g4.c), vec4<f32>(g5.c), vec4<f32>(g6.c), vec4<f32>(g7.c),
+            vec4f(g0.c), vec4f(g1.c), vec4f(g2.c), vec4f(g3.c),
+            vec4f(g4.c), vec4f(g5.c), vec4f(g6.c), vec4f(g7.c),
         ).x;
 #else
         share(lane, 0u, g0);
@@ -281,14 +281,14 @@ fn raster_backward(
         share(lane, 6u, g6);
         share(lane, 7u, g7);
         workgroupBarrier();
-        var a = vec4<f32>(0.0);
-        var b = vec4<f32>(0.0);
+        var a = vec4f(0.0);
+        var b = vec4f(0.0);
         var c = 0.0;
         if owns {
             for (var other = 0u; other < LANES; other++) {
                 let i = lane * 9u * LANES + other;
-                a += vec4<f32>(partial[i], partial[i + LANES], partial[i + 2u * LANES], partial[i + 3u * LANES]);
-                b += vec4<f32>(
+                a += vec4f(partial[i], partial[i + LANES], partial[i + 2u * LANES], partial[i + 3u * LANES]);
+                b += vec4f(
                     partial[i + 4u * LANES],
                     partial[i + 5u * LANES],
                     partial[i + 6u * LANES],
@@ -305,6 +305,6 @@ fn raster_backward(
     // Slots that reach no pixel have no gradient.
     let rest = (used + CHUNK - 1u) / CHUNK * CHUNK;
     for (var i = rest + lane; i < count; i += LANES) {
-        store(slots[range.x + i], vec4<f32>(0.0), vec4<f32>(0.0), 0.0);
+        store(slots[range.x + i], vec4f(0.0), vec4f(0.0), 0.0);
     }
 }

@@ -5,17 +5,17 @@
 #import tcgs::spread::part_of
 
 @group(0) @binding(0) var<uniform> view: View;
-@group(0) @binding(1) var<storage, read> ranges: array<vec2<u32>>;
+@group(0) @binding(1) var<storage, read> ranges: array<vec2u>;
 @group(0) @binding(2) var<storage, read> list: array<u32>;
-@group(0) @binding(3) var<storage, read> splats: array<vec4<f32>>;
+@group(0) @binding(3) var<storage, read> splats: array<vec4f>;
 // Colour over the background, and the transmittance that is left.
-@group(0) @binding(4) var<storage, read_write> image: array<vec4<f32>>;
+@group(0) @binding(4) var<storage, read_write> image: array<vec4f>;
 // One more than the index in the tile's list of the last Gaussian that the pixel blended.
 @group(0) @binding(5) var<storage, read_write> last: array<u32>;
 
 struct Pixel {
-    center: vec2<f32>,
-    color: vec3<f32>,
+    center: vec2f,
+    color: vec3f,
     transmittance: f32,
     last: u32,
     done: bool,
@@ -23,7 +23,7 @@ struct Pixel {
 
 // Lanes without work must reconverge with the others before the next shuffle, and only the end of an `if` guarantees that.
 // The final return of functions is explicit, since naga would move it into the branches of a last `if`.
-fn blend(pixel: ptr<function, Pixel>, place: vec3<f32>, conic: vec3<f32>, color: vec3<f32>, index: u32) {
+fn blend(pixel: ptr<function, Pixel>, place: vec3f, conic: vec3f, color: vec3f, index: u32) {
     let power = power_at(conic, place.xy - (*pixel).center);
     let alpha = min(ALPHA_MAX, place.z * exp(-power));
     if !((*pixel).done || power < 0.0 || alpha < ALPHA_MIN) {
@@ -54,14 +54,14 @@ const GROUP: u32 = 64u;
 #endif
 const GROUPS_A_TILE: u32 = 64u / GROUP;
 
-fn start(position: vec2<u32>) -> Pixel {
-    return Pixel(vec2<f32>(position) + 0.5, vec3<f32>(0.0), 1.0, 0u, any(position >= view.size));
+fn start(position: vec2u) -> Pixel {
+    return Pixel(vec2f(position) + 0.5, vec3f(0.0), 1.0, 0u, any(position >= view.size));
 }
 
-fn finish(pixel: Pixel, position: vec2<u32>) {
+fn finish(pixel: Pixel, position: vec2u) {
     if all(position < view.size) {
         let i = position.y * view.size.x + position.x;
-        image[i] = vec4<f32>(pixel.color + pixel.transmittance * view.background.xyz, pixel.transmittance);
+        image[i] = vec4f(pixel.color + pixel.transmittance * view.background.xyz, pixel.transmittance);
         last[i] = pixel.last;
     }
     return;
@@ -74,9 +74,9 @@ fn blend_if(
     pixel: ptr<function, Pixel>,
     mask: u32,
     k: u32,
-    place: vec4<f32>,
-    conic: vec3<f32>,
-    color: vec3<f32>,
+    place: vec4f,
+    conic: vec3f,
+    color: vec3f,
     base: u32,
 ) {
     if (mask & (1u << k)) != 0u {
@@ -95,12 +95,12 @@ fn blend_if(
 // because on a software adapter reading a constant lane is free and assignments in a loop are masked.
 fn blend_chunk(
     pixel: ptr<function, Pixel>,
-    place: vec4<f32>,
-    conic: vec3<f32>,
-    color: vec3<f32>,
-    ridges: vec2<f32>,
-    low: vec2<f32>,
-    high: vec2<f32>,
+    place: vec4f,
+    conic: vec3f,
+    color: vec3f,
+    ridges: vec2f,
+    low: vec2f,
+    high: vec2f,
     base: u32,
 ) {
     let open = subgroupAny(!(*pixel).done);
@@ -121,12 +121,12 @@ fn blend_chunk(
 // Blends the Gaussians of a chunk that touch the block of pixels that the subgroup's pixels form.
 fn blend_chunk(
     pixel: ptr<function, Pixel>,
-    place: vec4<f32>,
-    conic: vec3<f32>,
-    color: vec3<f32>,
-    ridges: vec2<f32>,
-    low: vec2<f32>,
-    high: vec2<f32>,
+    place: vec4f,
+    conic: vec3f,
+    color: vec3f,
+    ridges: vec2f,
+    low: vec2f,
+    high: vec2f,
     base: u32,
 ) {
     let hits = subgroupBallot(touches(place, conic, ridges, low, high));
@@ -150,8 +150,8 @@ fn blend_chunk(
 
 @compute @workgroup_size(GROUP)
 fn raster_forward(
-    @builtin(workgroup_id) group: vec3<u32>,
-    @builtin(num_workgroups) groups: vec3<u32>,
+    @builtin(workgroup_id) group: vec3u,
+    @builtin(num_workgroups) groups: vec3u,
     @builtin(local_invocation_index) invocation: u32,
 #ifdef SUBGROUPS
     @builtin(subgroup_invocation_id) lane: u32,
@@ -163,7 +163,7 @@ fn raster_forward(
     if tile >= view.tiles.x * view.tiles.y {
         return;
     }
-    let origin = vec2<u32>(tile % view.tiles.x, tile / view.tiles.x) * TILE;
+    let origin = vec2u(tile % view.tiles.x, tile / view.tiles.x) * TILE;
     let first = local / LANES * LANES * PIXELS_A_LANE + local % LANES;
     let position0 = origin + tile_pixel(first + 0u * LANES);
     var pixel0 = start(position0);
@@ -189,8 +189,8 @@ fn raster_forward(
             break;
         }
         var place = NOWHERE;
-        var conic = vec3<f32>(1.0);
-        var color = vec3<f32>(0.0);
+        var conic = vec3f(1.0);
+        var color = vec3f(0.0);
         if base + lane < range.y {
             let id = list[base + lane];
             if id != NONE {

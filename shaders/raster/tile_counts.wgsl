@@ -11,8 +11,8 @@
 
 @compute @workgroup_size(64)
 fn tile_counts(
-    @builtin(workgroup_id) group: vec3<u32>,
-    @builtin(num_workgroups) groups: vec3<u32>,
+    @builtin(workgroup_id) group: vec3u,
+    @builtin(num_workgroups) groups: vec3u,
     @builtin(local_invocation_index) local: u32,
 ) {
     let begin = part_of(group, groups) * 64u + local;

@@ -9,12 +9,12 @@
 @group(0) @binding(3) var<storage, read> slots: array<u32>;
 @group(0) @binding(4) var<storage, read> slot_ids: array<u32>;
 @group(0) @binding(5) var<storage, read_write> list: array<u32>;
-@group(0) @binding(6) var<storage, read_write> ranges: array<vec2<u32>>;
+@group(0) @binding(6) var<storage, read_write> ranges: array<vec2u>;
 
 @compute @workgroup_size(64)
 fn tile_ranges(
-    @builtin(workgroup_id) group: vec3<u32>,
-    @builtin(num_workgroups) groups: vec3<u32>,
+    @builtin(workgroup_id) group: vec3u,
+    @builtin(num_workgroups) groups: vec3u,
     @builtin(local_invocation_index) local: u32,
 ) {
     let begin = part_of(group, groups) * 64u + local;

@@ -14,7 +14,7 @@ struct ScanParams {
 @group(0) @binding(4) var<storage, read_write> sums: array<u32>;
 
 @compute @workgroup_size(32)
-fn scan_apply(@builtin(global_invocation_id) id: vec3<u32>) {
+fn scan_apply(@builtin(global_invocation_id) id: vec3u) {
     let run = id.x;
     if run >= params.runs {
         return;

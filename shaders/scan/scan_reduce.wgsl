@@ -13,7 +13,7 @@ struct ScanParams {
 @group(0) @binding(3) var<storage, read_write> partials: array<u32>;
 
 @compute @workgroup_size(32)
-fn scan_reduce(@builtin(global_invocation_id) id: vec3<u32>) {
+fn scan_reduce(@builtin(global_invocation_id) id: vec3u) {
     let run = id.x;
     if run >= params.runs {
         return;

@@ -1,5 +1,7 @@
 #define_import_path tcgs::blocks
 
+#import tcgs::index::group_index
+
 // Hardware's kernels that sort, scan and list give each workgroup a block of consecutive elements.
 const LANES: u32 = 256u;
 // Elements of a lane.
@@ -27,7 +29,7 @@ struct ScanParams {
 
 // The block of a workgroup; workgroups are spread over two dimensions.
 fn block_of(group: vec3u) -> u32 {
-    return group.x + group.y * 65535u;
+    return group_index(group);
 }
 
 // Blocks of `count` elements.

@@ -8,46 +8,46 @@
 // Marks an empty list entry.
 const NONE: u32 = 0xffffffffu;
 // The place of an empty entry: it touches nothing.
-const NOWHERE: vec4<f32> = vec4<f32>(0.0, 0.0, 0.0, -1.0);
+const NOWHERE: vec4f = vec4f(0.0, 0.0, 0.0, -1.0);
 const ALPHA_MIN: f32 = 1.0 / 255.0;
 const ALPHA_MAX: f32 = 0.99;
 const TRANSMITTANCE_MIN: f32 = 1e-4;
 // Slack of the rectangle tests, so that rounding never drops a pixel.
 const LEVEL_SLACK: f32 = 0.01;
 
-fn power_at(conic: vec3<f32>, d: vec2<f32>) -> f32 {
+fn power_at(conic: vec3f, d: vec2f) -> f32 {
     return 0.5 * (conic.x * d.x * d.x + conic.z * d.y * d.y) + conic.y * d.x * d.y;
 }
 
 // Where the power is smallest along a line: at x = ridges.x * y of a horizontal line, at y = ridges.y * x of a vertical one.
-fn ridges_of(conic: vec3<f32>) -> vec2<f32> {
+fn ridges_of(conic: vec3f) -> vec2f {
     return -conic.y / conic.xz;
 }
 
 // Whether the splat reaches alpha 1/255 anywhere in the rectangle of pixel centres from `low` to `high`: the least
 // power in a rectangle lies at the centre or on an edge that faces it.
-fn touches(place: vec4<f32>, conic: vec3<f32>, ridges: vec2<f32>, low: vec2<f32>, high: vec2<f32>) -> bool {
+fn touches(place: vec4f, conic: vec3f, ridges: vec2f, low: vec2f, high: vec2f) -> bool {
     let near = low - place.xy;
     let far = high - place.xy;
-    let nearest = clamp(vec2<f32>(0.0), near, far);
+    let nearest = clamp(vec2f(0.0), near, far);
     let along_y = clamp(ridges.y * nearest.x, near.y, far.y);
     let along_x = clamp(ridges.x * nearest.y, near.x, far.x);
     let least = min(
-        power_at(conic, vec2<f32>(nearest.x, along_y)),
-        power_at(conic, vec2<f32>(along_x, nearest.y)),
+        power_at(conic, vec2f(nearest.x, along_y)),
+        power_at(conic, vec2f(along_x, nearest.y)),
     );
     return least <= place.w + LEVEL_SLACK;
 }
 
 // Tiles [first, end) in both directions that the extents reach.
-fn tile_bounds(place: vec2<f32>, extent: vec2<f32>, tiles: vec2<u32>) -> vec4<u32> {
-    let limit = vec2<f32>(tiles);
-    let first = clamp(ceil((place - extent - 15.5) / 16.0), vec2<f32>(0.0), limit);
-    let end = clamp(floor((place + extent - 0.5) / 16.0) + 1.0, vec2<f32>(0.0), limit);
-    return vec4<u32>(vec2<u32>(first), vec2<u32>(max(first, end)));
+fn tile_bounds(place: vec2f, extent: vec2f, tiles: vec2u) -> vec4u {
+    let limit = vec2f(tiles);
+    let first = clamp(ceil((place - extent - 15.5) / 16.0), vec2f(0.0), limit);
+    let end = clamp(floor((place + extent - 0.5) / 16.0) + 1.0, vec2f(0.0), limit);
+    return vec4u(vec2u(first), vec2u(max(first, end)));
 }
 
-fn touches_tile(place: vec4<f32>, conic: vec3<f32>, ridges: vec2<f32>, tile: vec2<u32>) -> bool {
-    let low = vec2<f32>(tile * 16u) + 0.5;
+fn touches_tile(place: vec4f, conic: vec3f, ridges: vec2f, tile: vec2u) -> bool {
+    let low = vec2f(tile * 16u) + 0.5;
     return touches(place, conic, ridges, low, low + 15.0);
 }

@@ -1,5 +1,7 @@
 #define_import_path tcgs::spread
 
+#import tcgs::index::group_index
+
 // Which of the equal parts of the work a workgroup does.
 //
 // Work has an end that the host does not know: lists are shorter than their buffers, and tiles at an image's border are emptier
@@ -15,8 +17,8 @@ fn shuffled(part: u32, parts: u32) -> u32 {
 #endif
 
 // A permutation of the workgroups' linear indices.
-fn part_of(group: vec3<u32>, groups: vec3<u32>) -> u32 {
-    var part = group.x + group.y * 65535u;
+fn part_of(group: vec3u, groups: vec3u) -> u32 {
+    var part = group_index(group);
 #ifdef SOFTWARE
     let parts = groups.x * groups.y;
     part = shuffled(shuffled(shuffled(shuffled(part, parts), parts), parts), parts);

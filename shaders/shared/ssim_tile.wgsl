@@ -1,4 +1,5 @@
 #define_import_path tcgs::ssim_tile
+#import tcgs::index::group_index
 #import tcgs::ssim::{Image, Tail, REACH, slide}
 
 // Hardware's kernels of the image loss give each workgroup one channel of a tile of TILE x TILE pixels. Both halves of the window are summed in
@@ -33,7 +34,7 @@ struct Work {
 fn work_of(image: Image, group: vec3u) -> Work {
     let across = (image.size.x + TILE - 1u) / TILE;
     let tiles = across * ((image.size.y + TILE - 1u) / TILE);
-    let index = group.x + group.y * 65535u;
+    let index = group_index(group);
     let part = index / tiles;
     let tile = index - part * tiles;
     let row = tile / across;

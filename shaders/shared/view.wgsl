@@ -3,19 +3,19 @@
 // A camera, its image and the settings of the rasteriser.
 struct View {
     // Rows of the world-to-camera rotation; w is the image of `eye`.
-    right: vec4<f32>,
-    down: vec4<f32>,
-    forward: vec4<f32>,
+    right: vec4f,
+    down: vec4f,
+    forward: vec4f,
     // The camera centre, rounded.
-    eye: vec4<f32>,
-    background: vec4<f32>,
-    focal: vec2<f32>,
-    center: vec2<f32>,
+    eye: vec4f,
+    background: vec4f,
+    focal: vec2f,
+    center: vec2f,
     // Bounds of x/z and y/z inside the Jacobian.
-    slope_low: vec2<f32>,
-    slope_high: vec2<f32>,
-    size: vec2<u32>,
-    tiles: vec2<u32>,
+    slope_low: vec2f,
+    slope_high: vec2f,
+    size: vec2u,
+    tiles: vec2u,
     near: f32,
     low_pass: f32,
     antialiased: u32,
@@ -25,10 +25,10 @@ struct View {
 
 // Camera coordinates of a world point. The difference to a point near the camera is exact, however far both are from the
 // origin; a translation would be a number as large as that distance, and the sum would cancel.
-fn to_camera(view: View, mean: vec3<f32>) -> vec3<f32> {
+fn to_camera(view: View, mean: vec3f) -> vec3f {
     let d = mean - view.eye.xyz;
-    return vec3<f32>(dot(view.right.xyz, d), dot(view.down.xyz, d), dot(view.forward.xyz, d))
-        + vec3<f32>(view.right.w, view.down.w, view.forward.w);
+    return vec3f(dot(view.right.xyz, d), dot(view.down.xyz, d), dot(view.forward.xyz, d))
+        + vec3f(view.right.w, view.down.w, view.forward.w);
 }
 
 // Elements of the rasteriser's counters: pairs that the first overflowed pass required, or 0; passes completed before it;
@@ -43,8 +43,8 @@ const TILE: u32 = 16u;
 
 // Pixel of the tile for an invocation index, in Z order: any aligned power of two of indices is a compact block, so the
 // lanes of a subgroup cover nearby pixels.
-fn tile_pixel(index: u32) -> vec2<u32> {
-    var bits = vec2<u32>(index, index >> 1u) & vec2<u32>(0x55u);
-    bits = (bits | (bits >> vec2<u32>(1u))) & vec2<u32>(0x33u);
-    return (bits | (bits >> vec2<u32>(2u))) & vec2<u32>(0x0fu);
+fn tile_pixel(index: u32) -> vec2u {
+    var bits = vec2u(index, index >> 1u) & vec2u(0x55u);
+    bits = (bits | (bits >> vec2u(1u))) & vec2u(0x33u);
+    return (bits | (bits >> vec2u(2u))) & vec2u(0x0fu);
 }

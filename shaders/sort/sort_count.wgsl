@@ -14,7 +14,7 @@ struct SortParams {
 @group(0) @binding(3) var<storage, read_write> counters: array<u32>;
 
 @compute @workgroup_size(16)
-fn sort_count(@builtin(global_invocation_id) id: vec3<u32>) {
+fn sort_count(@builtin(global_invocation_id) id: vec3u) {
     let run = id.x;
     if run >= params.runs {
         return;

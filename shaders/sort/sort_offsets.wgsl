@@ -13,7 +13,7 @@ struct SortParams {
 @group(0) @binding(2) var<storage, read_write> totals: array<u32>;
 
 @compute @workgroup_size(16)
-fn sort_offsets(@builtin(global_invocation_id) id: vec3<u32>) {
+fn sort_offsets(@builtin(global_invocation_id) id: vec3u) {
     let digit = id.x;
     if digit >= params.digits {
         return;

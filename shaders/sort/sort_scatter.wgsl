@@ -18,7 +18,7 @@ struct SortParams {
 @group(0) @binding(7) var<storage, read_write> sorted_values: array<u32>;
 
 @compute @workgroup_size(16)
-fn sort_scatter(@builtin(global_invocation_id) id: vec3<u32>) {
+fn sort_scatter(@builtin(global_invocation_id) id: vec3u) {
     let run = id.x;
     if run >= params.runs {
         return;

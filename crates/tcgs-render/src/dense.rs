@@ -6,7 +6,9 @@ use std::sync::Arc;
 
 use super::{
     Result,
-    dense_layer::{Activation, Columns, DenseLayer, GRADIENT_RUN, InputGradient, NO_BIAS, WeightGradient},
+    dense_layer::{
+        Activation, Columns, DenseLayer, GATE, GRADIENT_RUN, InputGradient, NO_BIAS, WeightGradient,
+    },
     dense_software::{MIN_LANES, SoftwareLayers},
 };
 use crate::{
@@ -38,7 +40,8 @@ enum Kernels {
 
 #[derive(Debug)]
 struct HardwareLayers {
-    dense: Arc<Kernel>,
+    /// By mode.
+    dense: [Arc<Kernel>; 3],
     dense_weight_gradient: Arc<Kernel>,
     sum_partials: Arc<Kernel>,
 }
@@ -163,8 +166,9 @@ impl HardwareLayers {
         let subgroups = subgroups.filter(|size| *size >= MIN_LANES);
         let mut lanes = vec![("GRADIENT_LANES", subgroups.unwrap_or(64))];
         lanes.extend(subgroups.map(|size| ("SUBGROUPS", size)));
+        let dense = |mode| device.kernel(kernel_source!("dense"), &[("MODE", mode)]);
         Ok(Self {
-            dense: device.kernel(kernel_source!("dense"), &[])?,
+            dense: [dense(Activation::Linear as u32)?, dense(Activation::Relu as u32)?, dense(GATE)?],
             dense_weight_gradient: device.kernel(kernel_source!("dense_weight_gradient"), &lanes)?,
             sum_partials: device.kernel(kernel_source!("sum_partials"), &[])?,
         })
@@ -181,12 +185,11 @@ impl HardwareLayers {
     ) -> Result<()> {
         let uniform = recorder.uniform(&[
             [layer.inputs as u32, outputs as u32, columns.capacity as u32, layer.weights as u32],
-            [1, layer.outputs as u32, layer.bias as u32, activation as u32],
+            [1, layer.outputs as u32, layer.bias as u32, 0],
             [layer.input_row as u32, layer.output_row as u32, 0, 0],
         ])?;
-        // The gate is not read; any buffer but the output is valid.
-        let bindings: [Binding<'_>; 6] = [&uniform, columns.list, parameters, input, input, output];
-        recorder.dispatch(&self.dense, &bindings, groups(columns, outputs));
+        let bindings: [Binding<'_>; 5] = [&uniform, columns.list, parameters, input, output];
+        recorder.dispatch(&self.dense[activation as usize], &bindings, groups(columns, outputs));
         Ok(())
     }
 
@@ -198,17 +201,21 @@ impl HardwareLayers {
         d_output: &Buffer<f32>,
         d_input: InputGradient<'_>,
     ) -> Result<()> {
-        const LINEAR: u32 = 0;
-        const GATE: u32 = 2;
-        let activation = if d_input.relu.is_some() { GATE } else { LINEAR };
         let uniform = recorder.uniform(&[
             [layer.outputs as u32, d_input.rows as u32, columns.capacity as u32, layer.weights as u32],
-            [layer.outputs as u32, 1, NO_BIAS, activation],
+            [layer.outputs as u32, 1, NO_BIAS, 0],
             [layer.output_row as u32, layer.input_row as u32, layer.input_row as u32, 0],
         ])?;
-        let bindings: [Binding<'_>; 6] =
-            [&uniform, columns.list, parameters, d_output, d_input.relu.unwrap_or(d_output), d_input.buffer];
-        recorder.dispatch(&self.dense, &bindings, groups(columns, d_input.rows));
+        let mut bindings: Vec<Binding<'_>> =
+            vec![&uniform, columns.list, parameters, d_output, d_input.buffer];
+        let mode = match d_input.relu {
+            Some(gate) => {
+                bindings.push(gate);
+                GATE
+            }
+            None => Activation::Linear as u32,
+        };
+        recorder.dispatch(&self.dense[mode as usize], &bindings, groups(columns, d_input.rows));
         Ok(())
     }
 

@@ -23,6 +23,9 @@ pub enum Activation {
     Relu = 1,
 }
 
+/// `MODE` of `shaders/dense/dense.wgsl` and `dense_software.wgsl` that applies the gate of a ReLU; the others are those of [`Activation`].
+pub(crate) const GATE: u32 = 2;
+
 /// The columns that layers are evaluated at.
 #[derive(Debug, Clone, Copy)]
 pub struct Columns<'a> {

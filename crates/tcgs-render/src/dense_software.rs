@@ -7,7 +7,9 @@ use std::sync::Arc;
 
 use super::{
     RenderError, Result,
-    dense_layer::{Activation, Columns, DenseLayer, GRADIENT_RUN, InputGradient, NO_BIAS, WeightGradient},
+    dense_layer::{
+        Activation, Columns, DenseLayer, GATE, GRADIENT_RUN, InputGradient, NO_BIAS, WeightGradient,
+    },
 };
 use crate::{
     gpu::{Buffer, Kernel, Plan, Recorder, kernel_source, planned},
@@ -26,9 +28,6 @@ const COLUMNS: usize = 32;
 /// Columns that an invocation of `shaders/dense/dense_weight_gradient_software.wgsl` holds, and outputs of a workgroup.
 const GRADIENT_BLOCK: u32 = 64;
 const GRADIENT_OUTPUTS: usize = 32;
-
-/// `MODE` of `shaders/dense/dense_software.wgsl` that applies the gate of a ReLU; the others are those of [`Activation`].
-const GATE: u32 = 2;
 
 /// What is computed from what: a layer, or its transpose.
 #[derive(Debug, Clone, Copy)]

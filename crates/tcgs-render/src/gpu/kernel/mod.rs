@@ -31,6 +31,7 @@ pub use kernel_source;
 
 /// Files that kernels import, by the path in their `#define_import_path` line, in dependency order.
 const SHARED: &[(&str, &str)] = &[
+    ("index", include_str!("../../../shaders/shared/index.wgsl")),
     ("spread", include_str!("../../../shaders/shared/spread.wgsl")),
     ("blocks", include_str!("../../../shaders/shared/blocks.wgsl")),
     ("runs", include_str!("../../../shaders/shared/runs.wgsl")),

@@ -64,6 +64,8 @@ const DEGREE: Definitions = sets(&[&[("DEGREE", 0)], &[("DEGREE", 1)], &[("DEGRE
 const RUN: Definitions = sets(&[&[("RUN", 1)], &[("RUN", 16)]]);
 const OPAQUE: Definitions = sets(&[&[], &[("OPAQUE", 1)]]);
 const LANES: Definitions = sets(&[&[("LANES", 8)], &[("LANES", 16)], &[("LANES", 32)], &[("LANES", 64)]]);
+/// The modes of `dense`.
+const MODES: Definitions = sets(&[&[("MODE", 0)], &[("MODE", 1)], &[("MODE", 2)]]);
 /// Of one to 24 blocks, and of the modes of `dense_software`.
 const BLOCKS: Definitions = sets(&[
     &[("BLOCKS", 1), ("MODE", 0)],
@@ -122,7 +124,7 @@ kernels! {
         "radix_scatter": ONE,
     }
     "dense" {
-        "dense": ONE,
+        "dense": MODES,
         "dense_weight_gradient": SUBGROUPS,
         "sum_partials": ONE,
         "dense_software": BLOCKS.by_variant(),
@@ -257,6 +259,20 @@ mod tests {
         files.retain(|file| !file.starts_with("shared/"));
         let path = |entry: &KernelEntry| format!("{}/{}.wgsl", entry.pass, entry.source.name);
         assert_eq!(files, KERNELS.iter().map(path).collect());
+    }
+
+    #[test]
+    fn kernels_share_the_linear_index_and_the_short_names_of_vectors() {
+        let longhand = ["65535u", "vec2<f32>", "vec3<f32>", "vec4<f32>", "vec3<u32>"];
+        for KernelEntry { source, .. } in KERNELS {
+            for text in longhand {
+                assert!(
+                    !source.text.contains(text),
+                    "{}: `{text}`; see shaders/shared/index.wgsl",
+                    source.name
+                );
+            }
+        }
     }
 
     #[test]
