@@ -29,7 +29,7 @@ use crate::{
 #[derive(Clone)]
 pub struct Services {
     /// Jobs and events.
-    pub store: Arc<dyn Store>,
+    pub store: Arc<Store>,
     /// Datasets and results.
     pub blobs: Blobs,
     /// Time.
@@ -131,8 +131,8 @@ impl AppState {
         }))
     }
 
-    pub(super) fn store(&self) -> &dyn Store {
-        &*self.services.store
+    pub(super) fn store(&self) -> &Store {
+        &self.services.store
     }
 
     pub(super) fn blobs(&self) -> &Blobs {

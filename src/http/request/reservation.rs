@@ -221,7 +221,7 @@ mod tests {
         engine::{SceneEngine, SceneSource},
         http::{Services, config::RequestLimits},
         render::{RenderViews, views::Viewable},
-        store::{Blobs, QueuePolicy, SqlStore},
+        store::{Blobs, QueuePolicy, Store},
     };
 
     /// Neither an engine nor workers.
@@ -270,7 +270,7 @@ mod tests {
         let folder = tempfile::tempdir().expect("a folder");
         let clock = Arc::new(SystemClock);
         let path = folder.path().join("tcgs.db");
-        let store = SqlStore::open(&path, clock.clone(), QueuePolicy::default());
+        let store = Store::open(&path, clock.clone(), QueuePolicy::default());
         let services = Services {
             store: Arc::new(store.await.expect("a database")),
             blobs: Blobs::open(folder.path()).expect("a blob store"),
