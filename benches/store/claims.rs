@@ -12,7 +12,7 @@ use uuid::Uuid;
 const JOBS: usize = 400;
 
 /// Prints how many jobs a second one claimer takes, and eight at the same time.
-pub(crate) async fn measure(store: Arc<dyn Store>, project: ProjectId) {
+pub(crate) async fn measure(store: Arc<Store>, project: ProjectId) {
     for claimers in [1, 8] {
         for _ in 0..JOBS {
             let dataset = BlobRef { digest: Digest::of(b"a dataset"), bytes: 9 };
@@ -45,7 +45,7 @@ pub(crate) async fn measure(store: Arc<dyn Store>, project: ProjectId) {
 }
 
 /// Prints how many leases so many workers renew in a second, and how many reports they write.
-async fn renew_and_report(store: &Arc<dyn Store>, leases: Vec<Lease>, workers: usize) {
+async fn renew_and_report(store: &Arc<Store>, leases: Vec<Lease>, workers: usize) {
     for what in ["renewals", "reports"] {
         let start = Instant::now();
         let working = leases.chunks(leases.len().div_ceil(workers)).map(|leases| {

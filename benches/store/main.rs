@@ -22,10 +22,7 @@ use std::{
 
 use tcgs::{
     domain::{Digest, JobId, ProjectId, ProjectLimits, SystemClock, TrainOptions},
-    store::{
-        BlobRef, DatabaseLocation, JobFilter, NewJob, Outcome, Overview as _, Projects as _, QueuePolicy,
-        SqlStore, Store as _,
-    },
+    store::{BlobRef, DatabaseLocation, JobFilter, NewJob, Outcome, QueuePolicy, Store},
 };
 use uuid::Uuid;
 
@@ -53,19 +50,19 @@ fn line(what: &str, times: &[Duration]) {
     );
 }
 
-async fn add_job(store: &SqlStore, project: ProjectId) {
+async fn add_job(store: &Store, project: ProjectId) {
     let dataset = BlobRef { digest: Digest::of(b"a dataset"), bytes: 9 };
     let id = JobId(Uuid::now_v7());
     let new = NewJob { project, ..NewJob::new(id, TrainOptions::default(), dataset) };
     store.create_job(new).await.unwrap();
 }
 
-async fn run_one(store: &SqlStore) {
+async fn run_one(store: &Store) {
     let claim = store.claim("a worker").await.unwrap().unwrap();
     store.finish(&claim.lease, Outcome::Cancelled).await.unwrap();
 }
 
-async fn list(store: &SqlStore, project: ProjectId) {
+async fn list(store: &Store, project: ProjectId) {
     let filter = JobFilter { project: Some(project), ..JobFilter::default() };
     assert!(!store.jobs(&filter, None, 20).await.unwrap().is_empty());
 }
@@ -78,7 +75,7 @@ async fn simulate(arguments: &[String]) {
     let folder = tempfile::tempdir().unwrap();
     let clock = simulation::clock();
     let path = folder.path().join("tcgs.sqlite");
-    let store = SqlStore::open(&path, clock.clone(), simulation::policy()).await.unwrap();
+    let store = Store::open(&path, clock.clone(), simulation::policy()).await.unwrap();
     let report = simulation::run(&store, &clock, size, &|| Outcome::Cancelled).await;
     store.close().await;
     print!("{report}");
@@ -92,7 +89,7 @@ async fn main() {
     }
     if let Some(url) = std::env::args().skip(1).find_map(|argument| argument.parse().ok()) {
         let location = DatabaseLocation::Postgres(url);
-        let store = SqlStore::open(location, Arc::new(SystemClock), QueuePolicy::default()).await.unwrap();
+        let store = Store::open(location, Arc::new(SystemClock), QueuePolicy::default()).await.unwrap();
         return claims::measure(Arc::new(store), ProjectId::DEFAULT).await;
     }
     let jobs = std::env::args().skip(1).find_map(|argument| argument.parse().ok()).unwrap_or(JOBS);
@@ -106,7 +103,7 @@ async fn main() {
         max_priority: None,
     };
     let policy = QueuePolicy { limits, ..QueuePolicy::default() };
-    let store = SqlStore::open(&path, Arc::new(SystemClock), policy).await.unwrap();
+    let store = Store::open(&path, Arc::new(SystemClock), policy).await.unwrap();
     let [busy, quiet] = [1, 2].map(|number| ProjectId(Uuid::from_u128(number)));
     history::write(&path, busy, quiet, jobs).await;
     add_job(&store, quiet).await;

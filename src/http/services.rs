@@ -17,7 +17,7 @@ use crate::{
 #[derive(Clone)]
 pub struct Services {
     /// Jobs and events.
-    pub store: Arc<dyn Store>,
+    pub store: Arc<Store>,
     /// Datasets and results.
     pub blobs: Blobs,
     /// Time.

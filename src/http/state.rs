@@ -104,8 +104,8 @@ impl AppState {
         }))
     }
 
-    pub(super) fn store(&self) -> &dyn Store {
-        &*self.services.store
+    pub(super) fn store(&self) -> &Store {
+        &self.services.store
     }
 
     pub(super) fn blobs(&self) -> &Blobs {

@@ -1,7 +1,6 @@
-//! Storage and quotas of projects, and unreferenced blobs.
+//! Storage and quotas of projects.
 
-use super::{BlobRef, StoreError, StoreFuture};
-use crate::domain::{Digest, ProjectId};
+use super::StoreError;
 
 /// Bytes that a project uses.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
@@ -43,23 +42,4 @@ impl Capacity {
             _ => Ok(()),
         }
     }
-}
-
-/// The part of a store that accounts for blobs. Every method is one transaction.
-pub trait Accounts: Send + Sync + 'static {
-    /// The project's storage.
-    fn usage(&self, project: ProjectId) -> StoreFuture<'_, Usage>;
-
-    /// The project's storage and quota.
-    fn capacity(&self, project: ProjectId) -> StoreFuture<'_, Capacity>;
-
-    /// Bytes of the project's largest dataset, 0 if it has none; a longer upload cannot be one that the project has. Reads all blobs of the
-    /// project.
-    fn largest_dataset(&self, project: ProjectId) -> StoreFuture<'_, u64>;
-
-    /// The blob with this content, if something of the project refers to it.
-    fn owned_archive(&self, project: ProjectId, content: Digest) -> StoreFuture<'_, Option<BlobRef>>;
-
-    /// Removes the rows of those blobs that nothing refers to, and returns their digests.
-    fn forget_blobs<'a>(&'a self, digests: &'a [Digest]) -> StoreFuture<'a, Vec<Digest>>;
 }

@@ -17,8 +17,7 @@ use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 use super::{
-    Accounts as _, BlobError, BlobPlace, BlobSource, BlobState, Blobs, CopyMode, QueuePolicy, SqlStore,
-    StoreError, fsck::BATCH, publications::Publications as _,
+    BlobError, BlobPlace, BlobSource, BlobState, Blobs, CopyMode, QueuePolicy, Store, StoreError, fsck::BATCH,
 };
 use crate::domain::{Clock, Digest};
 
@@ -108,7 +107,7 @@ fn sync(path: &Path) -> io::Result<()> {
 /// # Errors
 /// [`BackupError`]; the destination is then no backup, and can be deleted.
 pub async fn back_up(
-    store: &SqlStore,
+    store: &Store,
     source: &BlobSource,
     destination: &Path,
     mode: CopyMode,
@@ -123,7 +122,7 @@ pub async fn back_up(
         let taken_at = clock.now();
         remove_database(&database)?;
         store.copy_into(&database).await?;
-        let snapshot = SqlStore::open_current(&database, clock.clone(), QueuePolicy::default()).await?;
+        let snapshot = Store::open_current(&database, clock.clone(), QueuePolicy::default()).await?;
         let copied = copy_blobs(&snapshot, source, &copy, mode).await;
         snapshot.close().await;
         if let Err(BackupError::Missing { digest, .. }) = &copied {
@@ -144,7 +143,7 @@ pub async fn back_up(
 
 /// Copies what a snapshot refers to, and counts it; forgets in the snapshot what nothing refers to, and ends its open uploads.
 async fn copy_blobs(
-    snapshot: &SqlStore,
+    snapshot: &Store,
     source: &BlobSource,
     copy: &Blobs,
     mode: CopyMode,
@@ -198,7 +197,7 @@ pub async fn restore(
     let staged = data.join(format!("{DATABASE}.restoring"));
     fs::copy(backup.join(DATABASE), &staged)?;
     let copied = async {
-        let store = Arc::new(SqlStore::open(&staged, clock, QueuePolicy::default()).await?);
+        let store = Arc::new(Store::open(&staged, clock, QueuePolicy::default()).await?);
         let copy = match bucket {
             None => {
                 store.move_blobs(BlobPlace::Folder).await?;
@@ -231,7 +230,7 @@ async fn open_bucket(
     data: &Path,
     bucket: Arc<dyn ObjectStore>,
     claim: BucketClaim,
-    store: &Arc<SqlStore>,
+    store: &Arc<Store>,
 ) -> Result<Blobs, BackupError> {
     let opened = match claim {
         BucketClaim::Unclaimed => Blobs::open_bucket(data, bucket, store.clone()).await,

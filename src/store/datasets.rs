@@ -2,8 +2,8 @@
 
 use jiff::Timestamp;
 
-use super::{BlobRef, IdempotentRequest, StoreFuture};
-use crate::domain::{DatasetId, DatasetSummary, Digest, ProjectId, UploadId};
+use super::{BlobRef, IdempotentRequest};
+use crate::domain::{DatasetId, DatasetSummary, ProjectId, UploadId};
 
 /// A dataset to be added.
 #[derive(Debug, Clone)]
@@ -80,36 +80,4 @@ pub struct DatasetPageKey {
     pub created_at: Timestamp,
     /// Its identity.
     pub id: DatasetId,
-}
-
-/// The part of a store that keeps datasets. Every method is one transaction.
-pub trait Datasets: Send + Sync + 'static {
-    /// Adds a dataset, unless its project has one with the same archive.
-    ///
-    /// # Errors
-    /// [`super::StoreError::QuotaExceeded`], [`super::StoreError::IdempotencyKeyUsed`].
-    fn create_dataset(&self, new: NewDataset) -> StoreFuture<'_, DatasetCreation>;
-
-    /// The dataset.
-    fn dataset(&self, id: DatasetId) -> StoreFuture<'_, Option<DatasetRecord>>;
-
-    /// The dataset of the project with this archive.
-    fn dataset_by_archive(
-        &self,
-        project: ProjectId,
-        archive: Digest,
-    ) -> StoreFuture<'_, Option<DatasetRecord>>;
-
-    /// Up to `limit` datasets of one project or of all, newest first, older than `before`.
-    fn datasets(
-        &self,
-        project: Option<ProjectId>,
-        before: Option<DatasetPageKey>,
-        limit: u32,
-    ) -> StoreFuture<'_, Vec<DatasetRecord>>;
-
-    /// Deletes the dataset if it has the requested version and no queued or running job trains on it; `None` if there is no such
-    /// dataset. Finished jobs keep its archive.
-    fn delete_dataset(&self, id: DatasetId, version: Option<u64>)
-    -> StoreFuture<'_, Option<DatasetDeletion>>;
 }

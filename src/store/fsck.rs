@@ -7,7 +7,7 @@ use jiff::Timestamp;
 use serde::Serialize;
 
 use super::{
-    BlobRef, BlobState, Blobs, CheckDepth, SqlStore,
+    BlobRef, BlobState, Blobs, CheckDepth, Store,
     garbage::{GarbageError, GarbagePolicy},
 };
 use crate::domain::Digest;
@@ -47,7 +47,7 @@ impl FsckReport {
 /// # Errors
 /// [`GarbageError`] if the database or a file cannot be read at all.
 pub async fn check(
-    store: &SqlStore,
+    store: &Store,
     blobs: &Blobs,
     depth: CheckDepth,
     now: Timestamp,
@@ -74,7 +74,7 @@ pub async fn check(
 }
 
 async fn check_one(
-    store: &SqlStore,
+    store: &Store,
     blobs: &Blobs,
     blob: BlobRef,
     depth: CheckDepth,

@@ -12,9 +12,7 @@ use thiserror::Error;
 use tokio::time::{Instant, sleep, sleep_until};
 use tokio_util::sync::CancellationToken;
 
-use super::{
-    BlobError, Blobs, OldBlobs, Published, Store, StoreError, blobs::earlier, retention::remove_expired,
-};
+use super::{BlobError, Blobs, OldBlobs, Published, Store, StoreError, earlier, retention::remove_expired};
 use crate::domain::{Clock, UploadId, with_defaults};
 
 /// Blobs per transaction, so that other writers never wait for long.
@@ -78,7 +76,7 @@ pub enum GarbageError {
 /// # Errors
 /// The first error, after everything else was removed; the next collection removes the rest.
 pub async fn collect(
-    store: &dyn Store,
+    store: &Store,
     blobs: &Blobs,
     policy: &GarbagePolicy,
     now: Timestamp,
@@ -88,7 +86,7 @@ pub async fn collect(
 
 /// As [`collect`], but leaves the rest once `stop` is cancelled.
 async fn collect_until(
-    store: &dyn Store,
+    store: &Store,
     blobs: &Blobs,
     policy: &GarbagePolicy,
     now: Timestamp,
@@ -165,7 +163,7 @@ impl Failures {
 ///
 /// # Errors
 /// The first error; a later collection then removes the blob.
-pub async fn withdraw(store: &dyn Store, blobs: &Blobs, published: Published) -> Result<bool, GarbageError> {
+pub async fn withdraw(store: &Store, blobs: &Blobs, published: Published) -> Result<bool, GarbageError> {
     // In the same order as a collection, for the same reasons.
     if store.forget_blobs(&[published.blob.digest]).await?.is_empty() {
         return Ok(false);
@@ -174,7 +172,7 @@ pub async fn withdraw(store: &dyn Store, blobs: &Blobs, published: Published) ->
 }
 
 async fn collect_uploads(
-    store: &dyn Store,
+    store: &Store,
     blobs: &Blobs,
     policy: &GarbagePolicy,
     now: Timestamp,
@@ -196,7 +194,7 @@ async fn collect_uploads(
 
 /// Collects until `stop`, at intervals and soon after [`Blobs::request_collection`].
 pub async fn collect_garbage(
-    store: Arc<dyn Store>,
+    store: Arc<Store>,
     blobs: Blobs,
     clock: Arc<dyn Clock>,
     policy: GarbagePolicy,
@@ -205,14 +203,14 @@ pub async fn collect_garbage(
     loop {
         let began = Instant::now();
         // First, so that the blobs of removed jobs are collected at once.
-        match remove_expired(&*store, policy.keep_jobs, &stop).await {
+        match remove_expired(&store, policy.keep_jobs, &stop).await {
             Ok(0) => {}
             Ok(jobs) => tracing::info!(jobs, "removed {jobs} jobs that ended too long ago to be kept"),
             Err(error) => {
                 tracing::warn!(error = &error as &dyn Error, "ended jobs cannot be removed: {error}");
             }
         }
-        let collecting = collect_until(&*store, &blobs, &policy, clock.now(), &stop);
+        let collecting = collect_until(&store, &blobs, &policy, clock.now(), &stop);
         let collected = tokio::select! {
             collected = collecting => collected,
             () = overdue(&stop) => {

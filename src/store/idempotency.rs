@@ -3,7 +3,6 @@
 //! Invariants: the row is written in the transaction that creates the resource, so neither exists without the other; (project, key) is
 //! unique, so two requests with one key create one resource, whichever processes they reach.
 
-use super::StoreFuture;
 use crate::domain::{Digest, ProjectId};
 
 /// A request with an `Idempotency-Key`.
@@ -26,11 +25,4 @@ pub struct PriorRequest {
     pub status: u16,
     /// Identity of the resource that it created.
     pub resource: String,
-}
-
-/// The part of a store that keeps requests with an `Idempotency-Key`.
-pub trait Idempotency: Send + Sync + 'static {
-    /// The project's earlier request with this key, unless [`super::QueuePolicy::idempotency_ttl`] has passed since.
-    fn prior_request<'a>(&'a self, project: ProjectId, key: &'a str)
-    -> StoreFuture<'a, Option<PriorRequest>>;
 }

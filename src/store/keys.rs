@@ -9,7 +9,7 @@ use serde::Serialize;
 use thiserror::Error;
 use uuid::Builder;
 
-use super::{NewProject, ProjectError, StoreFuture};
+use super::{NewProject, ProjectError};
 use crate::domain::{
     ApiKey, KeyHash, KeyId, MAX_NAME, ProjectId, ProjectLimits, RandomError, RandomSource, Scope, valid_name,
 };
@@ -208,47 +208,4 @@ impl KeyRecord {
     pub fn is_admin(&self) -> bool {
         self.scopes.contains(&Scope::Admin)
     }
-}
-
-/// The part of a store that keeps keys. Every method is one transaction.
-pub trait Keys: Send + Sync + 'static {
-    /// Adds a key, with its project if that is new.
-    ///
-    /// # Errors
-    /// [`super::StoreError::NoProject`].
-    fn create_key(&self, new: NewKey) -> StoreFuture<'_, KeyRecord>;
-
-    /// Adds a key unless there is one, valid or not; then returns `None`.
-    ///
-    /// # Errors
-    /// [`super::StoreError::NoProject`].
-    fn create_first_key(&self, new: NewKey) -> StoreFuture<'_, Option<KeyRecord>>;
-
-    /// A key, revoked or not.
-    fn key(&self, id: KeyId) -> StoreFuture<'_, Option<KeyRecord>>;
-
-    /// Up to `limit` keys of one project or of all, newest first, older than `before`; revoked ones only if they are asked for.
-    fn keys(
-        &self,
-        project: Option<ProjectId>,
-        with_revoked: bool,
-        before: Option<KeyId>,
-        limit: u32,
-    ) -> StoreFuture<'_, Vec<KeyRecord>>;
-
-    /// Changes a key, and returns it; `None` if there is no such key, or it is revoked.
-    fn update_key(&self, id: KeyId, change: KeyChange) -> StoreFuture<'_, Option<KeyRecord>>;
-
-    /// Revokes a key from the next request on, and returns it; `None` if there is no such key. No change if it is already
-    /// revoked.
-    fn revoke_key(&self, id: KeyId) -> StoreFuture<'_, Option<KeyRecord>>;
-
-    /// The key with this hash, unless it is revoked or has expired.
-    fn authenticate(&self, hash: KeyHash) -> StoreFuture<'_, Option<KeyRecord>>;
-
-    /// Whether there is a key, valid or not.
-    fn has_keys(&self) -> StoreFuture<'_, bool>;
-
-    /// Records a use of the key.
-    fn touch_key(&self, id: KeyId) -> StoreFuture<'_, ()>;
 }

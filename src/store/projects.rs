@@ -8,7 +8,6 @@ use serde::Serialize;
 use thiserror::Error;
 use uuid::Builder;
 
-use super::StoreFuture;
 use crate::domain::{
     JobState, MAX_NAME, MAX_PRIORITY, ProjectId, ProjectLimits, RandomError, RandomSource, valid_name,
 };
@@ -154,32 +153,4 @@ pub struct ProjectUsage {
     pub jobs: Vec<(JobState, u64)>,
     /// Seconds that attempts held a worker with its processor and adapter, ever, up to now.
     pub worker_seconds: f64,
-}
-
-/// The part of a store that keeps projects. Every method is one transaction.
-pub trait Projects: Send + Sync + 'static {
-    /// Adds a project.
-    fn create_project(&self, new: NewProject) -> StoreFuture<'_, ProjectRecord>;
-
-    /// The project.
-    fn project(&self, id: ProjectId) -> StoreFuture<'_, Option<ProjectRecord>>;
-
-    /// Up to `limit` projects, newest first, older than `before`.
-    fn projects(&self, before: Option<ProjectId>, limit: u32) -> StoreFuture<'_, Vec<ProjectRecord>>;
-
-    /// Changes name and limits if it has the expected version; `None` if there is no such project.
-    fn update_project(
-        &self,
-        id: ProjectId,
-        version: Option<u64>,
-        change: ProjectChange,
-    ) -> StoreFuture<'_, Option<ProjectUpdate>>;
-
-    /// Usage of one project, or of up to `limit` projects, newest first, older than `before`.
-    fn project_usage(
-        &self,
-        project: Option<ProjectId>,
-        before: Option<ProjectId>,
-        limit: u32,
-    ) -> StoreFuture<'_, Vec<ProjectUsage>>;
 }

@@ -7,8 +7,7 @@
 
 use jiff::{SignedDuration, Timestamp};
 
-use super::{BlobRef, StoreFuture};
-use crate::domain::Digest;
+use super::BlobRef;
 
 /// How long a remover may wait for the bucket to delete an object.
 pub const REMOVAL_LIMIT: SignedDuration = SignedDuration::from_secs(30);
@@ -61,44 +60,4 @@ impl BlobPlace {
             Self::Bucket => "bucket",
         }
     }
-}
-
-/// Publications of blobs in a bucket, and their removal.
-pub trait Publications: Send + Sync + 'static {
-    /// Records that a blob is published now; `None` while its object is being deleted.
-    fn announce(&self, blob: BlobRef) -> StoreFuture<'_, Option<Announcement>>;
-
-    /// Renews an announced publication, which is not new any more if another publisher has announced or renewed the blob since; `None` if it
-    /// was removed since, and has to be announced again.
-    fn confirm(&self, announced: Announcement) -> StoreFuture<'_, Option<Announcement>>;
-
-    /// Up to `limit` blobs after `after`, in the order of their digests, that were last published longer ago than `age`.
-    fn older_publications(
-        &self,
-        age: SignedDuration,
-        after: Option<Digest>,
-        limit: u32,
-    ) -> StoreFuture<'_, Vec<Digest>>;
-
-    /// Whether any blob is, or may be, in the bucket.
-    fn has_publications(&self) -> StoreFuture<'_, bool>;
-
-    /// Marks a blob for removal; `None` if there is no such publication, or another removes it.
-    fn begin_removal(&self, digest: Digest, which: Removable) -> StoreFuture<'_, Option<Removal>>;
-
-    /// Takes over what dead removers have left.
-    fn abandoned_removals(&self) -> StoreFuture<'_, Vec<Removal>>;
-
-    /// Forgets a blob whose object is deleted.
-    fn end_removal(&self, removal: Removal) -> StoreFuture<'_, ()>;
-
-    /// Decides where the database's blobs are, once and for all, and returns its identity.
-    ///
-    /// # Errors
-    /// [`super::StoreError::BlobsInFolder`] or [`super::StoreError::BlobsInBucket`] if that was decided otherwise.
-    fn claim_place(&self, place: BlobPlace) -> StoreFuture<'_, String>;
-
-    /// Decides anew where a copy of a database has its blobs, which are to be published there, and gives the copy an identity of its own,
-    /// so that the bucket of the original refuses it.
-    fn move_blobs(&self, place: BlobPlace) -> StoreFuture<'_, ()>;
 }

@@ -205,6 +205,15 @@ pub struct PageKey {
     pub id: JobId,
 }
 
+/// Result of one step of [`super::Store::remove_ended_jobs`].
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct RemovedJobs {
+    /// How many jobs were removed.
+    pub count: u64,
+    /// Where the next step continues; `None` once there are no more.
+    pub next: Option<PageKey>,
+}
+
 /// A worker's right to run a job; the attempt number is the fencing token.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Lease {

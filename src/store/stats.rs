@@ -2,7 +2,7 @@
 
 use jiff::Timestamp;
 
-use super::{AttemptOutcome, DeliveryState, StoreFuture};
+use super::{AttemptOutcome, DeliveryState};
 use crate::domain::JobState;
 
 /// Number of attempts with the same outcome and cause.
@@ -37,16 +37,4 @@ pub struct StoreStats {
     pub blob_bytes: u64,
     /// Webhook deliveries by state, for every state. Ended ones are kept for a while.
     pub deliveries: Vec<(DeliveryState, u64)>,
-}
-
-/// The part of a store that describes it as a whole.
-pub trait Overview: Send + Sync + 'static {
-    /// Current statistics.
-    fn stats(&self) -> StoreFuture<'_, StoreStats>;
-
-    /// Whether the schema is the one that this program was built with; another program may have migrated it since.
-    fn schema_is_current(&self) -> StoreFuture<'_, bool>;
-
-    /// Commits a small change, to check that the database can be written.
-    fn probe(&self) -> StoreFuture<'_, ()>;
 }

@@ -2,7 +2,6 @@
 
 use std::time::Duration;
 
-use super::StoreFuture;
 use crate::domain::ViewerToken;
 
 /// How long a viewer counts as alive after it was last announced.
@@ -19,16 +18,4 @@ pub struct ViewerRecord {
     pub identity: String,
     /// What it expects of whoever asks it for pictures.
     pub token: ViewerToken,
-}
-
-/// The part of a store that knows the viewers. Every method is one transaction.
-pub trait Viewers: Send + Sync + 'static {
-    /// Records that a viewer is alive now, and forgets those that were not for an hour.
-    fn announce_viewer<'a>(&'a self, viewer: &'a ViewerRecord) -> StoreFuture<'a, ()>;
-
-    /// The viewers that were announced within [`VIEWER_LIFE`], by their URLs.
-    fn live_viewers(&self) -> StoreFuture<'_, Vec<ViewerRecord>>;
-
-    /// Forgets a viewer that stops, unless another process has taken its URL over.
-    fn withdraw_viewer<'a>(&'a self, viewer: &'a ViewerRecord) -> StoreFuture<'a, ()>;
 }

@@ -7,46 +7,7 @@ use std::time::Duration;
 
 use jiff::Timestamp;
 
-use super::StoreFuture;
 use crate::domain::{DeliveryId, EndpointId, JobId, ProjectId, WebhookEvent, WebhookSecret, named_choice};
-
-/// The part of a store that keeps webhook endpoints and deliveries.
-pub trait Webhooks: Send + Sync + 'static {
-    /// Adds an endpoint, unless its project has `at_most` already.
-    fn create_endpoint(&self, new: NewEndpoint, at_most: u32) -> StoreFuture<'_, Option<EndpointRecord>>;
-
-    /// An endpoint.
-    fn endpoint(&self, id: EndpointId) -> StoreFuture<'_, Option<EndpointRecord>>;
-
-    /// Up to `limit` endpoints of one project or of all, newest first, older than `before`.
-    fn endpoints(
-        &self,
-        project: Option<ProjectId>,
-        before: Option<EndpointId>,
-        limit: u32,
-    ) -> StoreFuture<'_, Vec<EndpointRecord>>;
-
-    /// Deletes an endpoint with its deliveries; false if there is none.
-    fn delete_endpoint(&self, id: EndpointId) -> StoreFuture<'_, bool>;
-
-    /// Up to `limit` deliveries to an endpoint, newest first, with numbers below `before`.
-    fn deliveries(
-        &self,
-        endpoint: EndpointId,
-        before: Option<u64>,
-        limit: u32,
-    ) -> StoreFuture<'_, Vec<DeliveryRecord>>;
-
-    /// Makes a delivery due now and restarts its retry schedule; `None` if the endpoint has no such delivery.
-    fn replay(&self, endpoint: EndpointId, id: DeliveryId) -> StoreFuture<'_, Option<Replay>>;
-
-    /// Leases a due delivery for the time `lease`; at most one of an endpoint at a time. Projects take turns: the one with the fewest deliveries
-    /// under way is next, and of its deliveries the one that has been due for longest.
-    fn take_delivery(&self, lease: Duration) -> StoreFuture<'_, Option<DueDelivery>>;
-
-    /// Records the result of an attempt. Changes nothing if a newer attempt has started or the endpoint was deleted.
-    fn finish_delivery(&self, id: DeliveryId, attempt: u32, settled: DeliveryResult) -> StoreFuture<'_, ()>;
-}
 
 /// An endpoint to be added.
 #[derive(Debug)]

@@ -40,12 +40,7 @@ with_defaults! {
 }
 
 /// Delivers what is due until `shutdown`.
-pub async fn deliver(
-    store: Arc<dyn Store>,
-    sender: Sender,
-    config: DeliveryConfig,
-    shutdown: CancellationToken,
-) {
+pub async fn deliver(store: Arc<Store>, sender: Sender, config: DeliveryConfig, shutdown: CancellationToken) {
     let mut running = JoinSet::new();
     while !shutdown.is_cancelled() {
         if running.len() < config.max_concurrent {
@@ -76,7 +71,7 @@ pub async fn deliver(
     }
 }
 
-async fn attempt(store: Arc<dyn Store>, sender: Sender, due: DueDelivery) {
+async fn attempt(store: Arc<Store>, sender: Sender, due: DueDelivery) {
     let sent = sender.send(&due).await;
     let result = schedule::result_of(&due, sent);
     let (delivery, status) = (due.id, result.response_status);

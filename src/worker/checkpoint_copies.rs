@@ -245,7 +245,7 @@ async fn fetch_job(files: &SharedFiles, root: &Path, job: JobId, before: u32) ->
 }
 
 /// Removes the copies that no job can resume from any more.
-pub(super) async fn sweep(files: &SharedFiles, store: &dyn Store) {
+pub(super) async fn sweep(files: &SharedFiles, store: &Store) {
     let swept = async {
         let jobs: Vec<JobId> =
             files.folders(ROOT).await?.iter().filter_map(|name| name.parse().ok()).collect();

@@ -87,7 +87,7 @@ pub(super) fn forget(root: &Path, job: JobId) {
 }
 
 /// Removes the folders below `root` that no job can resume from any more.
-pub(super) async fn sweep(root: &Path, store: &dyn Store) {
+pub(super) async fn sweep(root: &Path, store: &Store) {
     let folders = folders(root);
     if folders.is_empty() {
         return;

@@ -32,7 +32,7 @@ const RARER: u32 = 8;
 /// # Errors
 /// [`WorkerError::Stalled`]; the process must end.
 pub async fn serve(
-    store: Arc<dyn Store>,
+    store: Arc<Store>,
     blobs: Blobs,
     runner: Arc<dyn RunJob>,
     config: WorkerConfig,
@@ -48,9 +48,9 @@ pub async fn serve(
     let deps = WorkerDeps { store, blobs, runner, config };
     let sweep = async || {
         if let Some(root) = &deps.config.checkpoints {
-            checkpoints::sweep(root, &*deps.store).await;
+            checkpoints::sweep(root, &deps.store).await;
             if let Some(files) = deps.blobs.shared_files() {
-                checkpoint_copies::sweep(&files, &*deps.store).await;
+                checkpoint_copies::sweep(&files, &deps.store).await;
             }
         }
         Instant::now()

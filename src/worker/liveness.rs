@@ -52,7 +52,7 @@ impl Drop for LivenessLock {
 /// Ends the attempts of those dead workers that `is_wanted` names. On errors the next call tries again; in the end the leases expire.
 pub(super) async fn expire_dead_workers(
     folder: &Path,
-    store: &dyn Store,
+    store: &Store,
     is_wanted: &(dyn Fn(&str) -> bool + Sync),
 ) {
     let dead = match dead(folder) {
@@ -73,7 +73,7 @@ pub(super) async fn expire_dead_workers(
 }
 
 /// Ends the attempts of a dead worker, which need not wait for its leases to expire; returns whether that succeeded.
-pub(super) async fn expire_worker(store: &dyn Store, id: &str, death: WorkerDeath) -> bool {
+pub(super) async fn expire_worker(store: &Store, id: &str, death: WorkerDeath) -> bool {
     match store.expire_worker(id, death).await {
         Ok(0) => {}
         Ok(jobs) => tracing::warn!(worker = id, jobs, "ended {jobs} attempts of the dead worker {id}"),

@@ -93,7 +93,7 @@ impl Started {
     }
 
     /// Ends the attempts of workers of earlier services whose process is gone.
-    async fn expire_earlier_workers(&self, config: &SuperviseConfig, store: &dyn Store) {
+    async fn expire_earlier_workers(&self, config: &SuperviseConfig, store: &Store) {
         if let Some(folder) = &config.liveness_dir {
             liveness::expire_dead_workers(folder, store, &|id| !self.ids().contains(id)).await;
         }
@@ -151,7 +151,7 @@ impl Workers for SupervisedWorkers {
 
 /// Starts the workers, and restarts them until `shutdown`.
 #[must_use]
-pub fn supervise(config: SuperviseConfig, store: Arc<dyn Store>, shutdown: CancellationToken) -> Supervisor {
+pub fn supervise(config: SuperviseConfig, store: Arc<Store>, shutdown: CancellationToken) -> Supervisor {
     let config = Arc::new(config);
     let started = Arc::new(Started::default());
     let mut tasks = JoinSet::new();
@@ -186,14 +186,14 @@ impl Supervisor {
 
 async fn keep_alive(
     config: Arc<SuperviseConfig>,
-    store: Arc<dyn Store>,
+    store: Arc<Store>,
     started: Arc<Started>,
     pid: watch::Sender<Option<u32>>,
     shutdown: CancellationToken,
 ) {
     let mut early_deaths = 0_u32;
     while !shutdown.is_cancelled() {
-        started.expire_earlier_workers(&config, &*store).await;
+        started.expire_earlier_workers(&config, &store).await;
         let id = new_worker_id();
         started.ids().insert(id.clone());
         let born = Instant::now();
@@ -206,7 +206,7 @@ async fn keep_alive(
                         tokio::select! {
                             status = &mut waiting => break status,
                             () = sleep(config.liveness_interval) => {
-                                started.expire_earlier_workers(&config, &*store).await;
+                                started.expire_earlier_workers(&config, &store).await;
                             }
                         }
                     }
@@ -214,7 +214,7 @@ async fn keep_alive(
                 pid.send_replace(None);
                 tracing::info!(worker = id, ?status, "worker {id} has ended");
                 let death = classify_death(&config, &shutdown).await;
-                if liveness::expire_worker(&*store, &id, death).await
+                if liveness::expire_worker(&store, &id, death).await
                     && let Some(folder) = &config.liveness_dir
                 {
                     // One that was killed has left its file.
@@ -232,7 +232,7 @@ async fn keep_alive(
             () = shutdown.cancelled() => {}
         }
     }
-    started.expire_earlier_workers(&config, &*store).await;
+    started.expire_earlier_workers(&config, &store).await;
 }
 
 /// Whether a child that has just ended died alone.

@@ -21,7 +21,7 @@ use tcgs::{
         RenderViews,
         views::{ScalarImage, ScalarKind, Viewable},
     },
-    store::{Blobs, QueuePolicy, SqlStore, VIEWER_LIFE, ViewerRecord, Viewers as _},
+    store::{Blobs, QueuePolicy, Store, VIEWER_LIFE, ViewerRecord},
     viewers::{self, ViewerPool, protocol},
 };
 use tempfile::TempDir;
@@ -147,7 +147,7 @@ impl Machine {
 
 /// A database and blobs, and the replica's pool over them.
 struct Fixture {
-    store: Arc<SqlStore>,
+    store: Arc<Store>,
     blobs: Blobs,
     clock: Arc<ManualClock>,
     pool: Arc<ViewerPool>,
@@ -158,7 +158,7 @@ impl Fixture {
     async fn new() -> Self {
         let data = tempfile::tempdir().expect("a folder");
         let clock = Arc::new(ManualClock::new("2026-11-24T12:00:00Z".parse().expect("an instant")));
-        let store = SqlStore::open(&data.path().join("tcgs.db"), clock.clone(), QueuePolicy::default()).await;
+        let store = Store::open(&data.path().join("tcgs.db"), clock.clone(), QueuePolicy::default()).await;
         let store = Arc::new(store.expect("a database"));
         let blobs = Blobs::open(data.path()).expect("a blob store");
         let pool = ViewerPool::new(store.clone(), clock.clone(), Handle::current()).expect("a client");

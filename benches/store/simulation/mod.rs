@@ -73,7 +73,7 @@ struct Attempt {
 }
 
 struct Simulation<'a> {
-    store: &'a dyn Store,
+    store: &'a Store,
     clock: &'a ManualClock,
     success: &'a (dyn Fn() -> Outcome + Sync),
     jobs: Vec<SimulatedJob>,
@@ -111,7 +111,7 @@ fn cap(place: usize, workers: usize) -> Option<usize> {
 /// # Panics
 /// If the queue does anything that it must not.
 pub(crate) async fn run(
-    store: &dyn Store,
+    store: &Store,
     clock: &ManualClock,
     size: Size,
     success: &(dyn Fn() -> Outcome + Sync),

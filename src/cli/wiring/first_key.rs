@@ -12,7 +12,7 @@ use std::{
 
 use tcgs::{
     domain::{ApiKey, Clock as _, ProjectId, Scope, SystemClock, SystemRandom},
-    store::{KeyProject, KeyRequest, Keys as _, NewKey, SqlStore},
+    store::{KeyProject, KeyRequest, NewKey, Store},
 };
 use tempfile::NamedTempFile;
 
@@ -38,7 +38,7 @@ impl<'a> FirstKey<'a> {
     }
 
     /// Creates it, and writes it into the file if that holds none.
-    pub(super) async fn create(self, store: &SqlStore) -> Result<(), CliError> {
+    pub(super) async fn create(self, store: &Store) -> Result<(), CliError> {
         let file = self.file;
         let (key, is_drawn) = match self.key {
             Some(key) => (key, false),

@@ -5,8 +5,8 @@ use tcgs::{
         ApiKey, Clock as _, KeyId, Problem, ProblemType, ProjectId, ProjectLimits, SystemClock, SystemRandom,
     },
     store::{
-        KeyChange, KeyRecord, KeyRequest, Keys as _, NewKey, NewProject, ProjectChange, ProjectRecord,
-        ProjectUpdate, ProjectUsage, Projects as _, SqlStore, StoreError,
+        KeyChange, KeyRecord, KeyRequest, NewKey, NewProject, ProjectChange, ProjectRecord, ProjectUpdate,
+        ProjectUsage, Store, StoreError,
     },
 };
 
@@ -149,7 +149,7 @@ pub(crate) fn projects(storage: &Storage) -> Result<Vec<ProjectUsage>, CliError>
 /// Like [`with_store`], with a new database where there is none: keys are made before a service first starts.
 fn with_new_store<T>(
     storage: &Storage,
-    work: impl AsyncFnOnce(&SqlStore) -> Result<T, StoreError>,
+    work: impl AsyncFnOnce(&Store) -> Result<T, StoreError>,
 ) -> Result<T, CliError> {
     let new = storage.lacks_database();
     let outcome = with_opened(storage, work)?;
@@ -162,7 +162,7 @@ fn with_new_store<T>(
 /// Does `work` with a database that must be there.
 fn with_store<T>(
     storage: &Storage,
-    work: impl AsyncFnOnce(&SqlStore) -> Result<T, StoreError>,
+    work: impl AsyncFnOnce(&Store) -> Result<T, StoreError>,
 ) -> Result<T, CliError> {
     storage.expect_database()?;
     with_opened(storage, work)
@@ -170,7 +170,7 @@ fn with_store<T>(
 
 fn with_opened<T>(
     storage: &Storage,
-    work: impl AsyncFnOnce(&SqlStore) -> Result<T, StoreError>,
+    work: impl AsyncFnOnce(&Store) -> Result<T, StoreError>,
 ) -> Result<T, CliError> {
     runtime()?.block_on(async {
         // A service of another version may be using it.

@@ -7,7 +7,7 @@ use tcgs::{
     engine::{LocalEngine, SceneEngine},
     gpu::AdapterChoice,
     ingest::DatasetChecker,
-    store::SqlStore,
+    store::Store,
     viewers::{RemoteEngine, ViewerPool},
 };
 use tokio::{runtime::Handle, task::JoinHandle};
@@ -32,7 +32,7 @@ pub(super) fn here(
 
 /// Leaves rendering to viewer processes.
 pub(super) async fn elsewhere(
-    store: &Arc<SqlStore>,
+    store: &Arc<Store>,
     shutdown: &CancellationToken,
     checker: DatasetChecker,
 ) -> Result<Rendering, Box<dyn Error + Send + Sync>> {

@@ -20,9 +20,8 @@ use tcgs::{
     ingest::DatasetChecker,
     pipeline::ReferenceViews,
     store::{
-        BlobPlace, Blobs, DATABASE, PostgresUrl, QueuePolicy, SchemaChange, SqlStore,
+        BlobPlace, Blobs, DATABASE, PostgresUrl, QueuePolicy, SchemaChange, Store,
         garbage::{GarbagePolicy, collect_garbage},
-        publications::Publications as _,
     },
     webhooks::{self, DeliveryConfig, Sender},
     worker::{self, WorkerConfig, supervise},
@@ -221,7 +220,7 @@ pub(crate) fn migrate(storage: &Storage) -> Result<SchemaChange, CliError> {
     runtime()?.block_on(async {
         private_folder(&storage.data)?;
         let migrated =
-            SqlStore::migrate(storage.location(), Arc::new(SystemClock), QueuePolicy::default()).await;
+            Store::migrate(storage.location(), Arc::new(SystemClock), QueuePolicy::default()).await;
         let (store, change) = migrated.map_err(|fault| unavailable(&fault))?;
         store.close().await;
         Ok(change)
@@ -240,19 +239,19 @@ pub(super) async fn open_store(
     storage: &Storage,
     limits: ProjectLimits,
     older: OlderSchema,
-) -> Result<Arc<SqlStore>, CliError> {
+) -> Result<Arc<Store>, CliError> {
     private_folder(&storage.data)?;
     let (database, clock) = (storage.location(), Arc::new(SystemClock));
     let policy = QueuePolicy { limits, ..QueuePolicy::default() };
     let store = match older {
-        OlderSchema::Migrate => SqlStore::open(database, clock, policy).await,
-        OlderSchema::Refuse => SqlStore::open_current(database, clock, policy).await,
+        OlderSchema::Migrate => Store::open(database, clock, policy).await,
+        OlderSchema::Refuse => Store::open_current(database, clock, policy).await,
     };
     store.map(Arc::new).map_err(|fault| unavailable(&fault))
 }
 
 /// The blobs of a service, in the place that its database knows.
-pub(super) async fn open_blobs(storage: &Storage, store: &Arc<SqlStore>) -> Result<Blobs, CliError> {
+pub(super) async fn open_blobs(storage: &Storage, store: &Arc<Store>) -> Result<Blobs, CliError> {
     let opened = async {
         let Some(bucket) = &storage.blobs else {
             store.claim_place(BlobPlace::Folder).await?;
@@ -282,9 +281,7 @@ async fn has_keys(storage: &Storage) -> Result<bool, CliError> {
     if storage.file().is_some_and(|file| !file.exists()) {
         return Ok(false);
     }
-    SqlStore::has_keys_in(storage.location(), Arc::new(SystemClock))
-        .await
-        .map_err(|fault| unavailable(&fault))
+    Store::has_keys_in(storage.location(), Arc::new(SystemClock)).await.map_err(|fault| unavailable(&fault))
 }
 
 /// The environment variables of the drivers' shader cache.

@@ -6,7 +6,7 @@ use tcgs::{
     domain::{Clock as _, Problem, ProblemType, SystemClock},
     store::{
         BackupError, BackupNote, BlobError, BlobSource, BucketClaim, BucketUrl, CheckDepth, CopyMode,
-        FsckReport, QueuePolicy, SqlStore, back_up as write_backup, check_data_folder, garbage::GarbageError,
+        FsckReport, QueuePolicy, Store, back_up as write_backup, check_data_folder, garbage::GarbageError,
         restore as restore_backup,
     },
 };
@@ -19,10 +19,9 @@ use super::{
 use crate::cli::{CliError, storage::Storage};
 
 /// The store of a service, which must be there.
-async fn existing(storage: &Storage) -> Result<SqlStore, CliError> {
+async fn existing(storage: &Storage) -> Result<Store, CliError> {
     storage.expect_database()?;
-    let store =
-        SqlStore::open_current(storage.location(), Arc::new(SystemClock), QueuePolicy::default()).await;
+    let store = Store::open_current(storage.location(), Arc::new(SystemClock), QueuePolicy::default()).await;
     store.map_err(|fault| unavailable(&fault))
 }
 

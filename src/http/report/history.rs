@@ -15,7 +15,7 @@ pub(super) struct History {
 
 impl History {
     /// Reads the history of a job.
-    pub(super) async fn read(store: &dyn Store, job: &Job) -> Result<Self, StoreError> {
+    pub(super) async fn read(store: &Store, job: &Job) -> Result<Self, StoreError> {
         let points = store.series(job.id).await?.unwrap_or_default();
         Ok(Self::of(points, job.attempt, job.progress.elapsed_seconds))
     }

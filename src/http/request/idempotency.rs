@@ -1,6 +1,6 @@
 //! `Idempotency-Key`: a request that is sent again creates nothing again.
 //!
-//! The store remembers what a key created, in the transaction that created it ([`crate::store::Idempotency`]). Which requests are
+//! The store remembers what a key created, in the transaction that created it ([`crate::store::IdempotentRequest`]). Which requests are
 //! in flight is known to this process alone and ends with it, so a request cut off by a crash can simply be sent again. Between
 //! processes the store decides: of two requests with one key, one creates the resource and the other gets it.
 

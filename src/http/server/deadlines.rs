@@ -8,7 +8,7 @@ use tokio_util::sync::CancellationToken;
 use crate::store::{Store, StoreError};
 
 /// Checks for such jobs at an interval until `shutdown`.
-pub(super) async fn enforce(store: Arc<dyn Store>, every: Duration, shutdown: CancellationToken) {
+pub(super) async fn enforce(store: Arc<Store>, every: Duration, shutdown: CancellationToken) {
     let mut tick = interval(every);
     tick.set_missed_tick_behavior(MissedTickBehavior::Delay);
     loop {

@@ -17,13 +17,13 @@ const CACHE_TIME: Duration = Duration::from_secs(1);
 
 /// The statistics, read at most once in [`CACHE_TIME`].
 pub(crate) struct StatsCache {
-    store: Arc<dyn Store>,
+    store: Arc<Store>,
     latest: Mutex<Option<(Instant, StoreStats)>>,
 }
 
 impl StatsCache {
     /// A cache that has read nothing yet.
-    pub(crate) fn new(store: Arc<dyn Store>) -> Self {
+    pub(crate) fn new(store: Arc<Store>) -> Self {
         Self { store, latest: Mutex::default() }
     }
 

@@ -37,13 +37,13 @@ use tempfile::TempPath;
 use thiserror::Error;
 use tokio::sync::{Notify, futures::Notified};
 
-pub use bucket::{BucketIndex, BucketUrl, InvalidBucketUrl, SharedFiles};
+pub use bucket::{BucketUrl, InvalidBucketUrl, SharedFiles};
 pub use check::{BlobSource, BlobState, CheckDepth, CopyMode};
 pub use staging::{BlobWriter, ContentHasher, StagedBlob};
 pub use upload::UploadFile;
 
 use self::{bucket::Bucket, folder::Folder, staging_dir::StagingDir};
-use super::{BlobRef, StoreError, is_disk_full, publications::Removable};
+use super::{BlobRef, Store, StoreError, earlier, is_disk_full, publications::Removable};
 use crate::domain::{Digest, UploadId};
 
 /// Content as a stream.
@@ -216,7 +216,7 @@ impl Blobs {
         Self::with(data, |lock| Ok(Keeper::Folder(Folder::open(root, lock.to_owned())?)))
     }
 
-    /// Opens the store in a bucket, or a prefix of one, that belongs to the database of `index` alone, with staging as
+    /// Opens the store in a bucket, or a prefix of one, that belongs to the database of `store` alone, with staging as
     /// [`Blobs::open`].
     ///
     /// # Errors
@@ -225,9 +225,9 @@ impl Blobs {
     pub async fn open_bucket(
         data: &Path,
         bucket: Arc<dyn ObjectStore>,
-        index: Arc<dyn BucketIndex>,
+        store: Arc<Store>,
     ) -> Result<Self, BlobError> {
-        let bucket = Bucket::open(bucket, index).await?;
+        let bucket = Bucket::open(bucket, store).await?;
         Self::with(data, |_| Ok(Keeper::Bucket(bucket)))
     }
 
@@ -239,9 +239,9 @@ impl Blobs {
     pub async fn take_over_bucket(
         data: &Path,
         bucket: Arc<dyn ObjectStore>,
-        index: Arc<dyn BucketIndex>,
+        store: Arc<Store>,
     ) -> Result<Self, BlobError> {
-        let bucket = Bucket::take_over(bucket, index).await?;
+        let bucket = Bucket::take_over(bucket, store).await?;
         Self::with(data, |_| Ok(Keeper::Bucket(bucket)))
     }
 
@@ -482,11 +482,6 @@ impl fmt::Display for Blobs {
             Keeper::Bucket(_) => f.write_str("the bucket"),
         }
     }
-}
-
-/// The time `by` before `now`.
-pub(super) fn earlier(now: Timestamp, by: SignedDuration) -> Timestamp {
-    now.checked_sub(by).unwrap_or(Timestamp::MIN)
 }
 
 /// Runs blocking work on a thread for it.

@@ -24,7 +24,7 @@ use super::{
 };
 use crate::{
     domain::{Digest, UploadId},
-    store::{BlobRef, Uploads},
+    store::{BlobRef, Store},
 };
 
 const HASH_BUFFER: usize = 1 << 20;
@@ -136,7 +136,7 @@ impl UploadFile {
     /// [`BlobError::Io`], [`BlobError::Bucket`], [`BlobError::Index`].
     pub async fn save(
         &mut self,
-        store: &(impl Uploads + ?Sized),
+        store: &Store,
         received: u64,
         expires_at: Timestamp,
     ) -> Result<bool, BlobError> {

@@ -6,14 +6,14 @@
 use std::collections::BTreeSet;
 
 use super::{
-    MEMBERS, SqlStore,
+    MEMBERS, Store,
     db::{Query, Sql, Transaction, query, values},
     locks,
     rows::{json, optional_whole, parsed, whole},
 };
 use crate::{
     domain::{Digest, ProjectId},
-    store::{Accounts, BlobRef, Capacity, StoreError, StoreFuture, Usage},
+    store::{BlobRef, Capacity, StoreError, StoreFuture, Usage},
 };
 
 /// The members of the JSON array `?` as rows with a `digest`.
@@ -152,13 +152,15 @@ pub(super) async fn unreferenced(
     Ok(digests.iter().filter(|digest| found.contains(digest)).copied().collect())
 }
 
-impl Accounts for SqlStore {
-    fn usage(&self, project: ProjectId) -> StoreFuture<'_, Usage> {
-        Box::pin(self.read(async move |tx| usage(tx, project).await))
+impl Store {
+    /// The project's storage.
+    pub fn usage(&self, project: ProjectId) -> StoreFuture<'_, Usage> {
+        self.call("usage").run(self.read(async move |tx| usage(tx, project).await))
     }
 
-    fn capacity(&self, project: ProjectId) -> StoreFuture<'_, Capacity> {
-        Box::pin(self.read(async move |tx| {
+    /// The project's storage and quota.
+    pub fn capacity(&self, project: ProjectId) -> StoreFuture<'_, Capacity> {
+        self.call("capacity").run(self.read(async move |tx| {
             let quota = quota(tx, self.policy.limits.quota_bytes, project).await?;
             if quota.is_none() {
                 return Ok(Capacity::default());
@@ -167,15 +169,18 @@ impl Accounts for SqlStore {
         }))
     }
 
-    fn largest_dataset(&self, project: ProjectId) -> StoreFuture<'_, u64> {
-        Box::pin(async move {
+    /// Bytes of the project's largest dataset, 0 if it has none; a longer upload cannot be one that the project has. Reads all blobs of the
+    /// project.
+    pub fn largest_dataset(&self, project: ProjectId) -> StoreFuture<'_, u64> {
+        self.call("largest_dataset").run(async move {
             let row = query(LARGEST_DATASET).bind(project.to_string()).fetch_one(&self.readers).await?;
             whole(&row, "largest")
         })
     }
 
-    fn owned_archive(&self, project: ProjectId, content: Digest) -> StoreFuture<'_, Option<BlobRef>> {
-        Box::pin(async move {
+    /// The blob with this content, if something of the project refers to it.
+    pub fn owned_archive(&self, project: ProjectId, content: Digest) -> StoreFuture<'_, Option<BlobRef>> {
+        self.call("owned_archive").run(async move {
             query(OWNED_BLOB)
                 .bind_all(values![project.to_string(), content.to_string()])
                 .optional(&self.readers, |row| Ok(BlobRef { digest: content, bytes: whole(row, "bytes")? }))
@@ -183,8 +188,9 @@ impl Accounts for SqlStore {
         })
     }
 
-    fn forget_blobs<'a>(&'a self, digests: &'a [Digest]) -> StoreFuture<'a, Vec<Digest>> {
-        Box::pin(async move {
+    /// Removes the rows of those blobs that nothing refers to, and returns their digests.
+    pub fn forget_blobs<'a>(&'a self, digests: &'a [Digest]) -> StoreFuture<'a, Vec<Digest>> {
+        self.call("forget_blobs").run(async move {
             // Most are in use; looking first keeps the write lock free.
             let unused = self.read(async move |tx| unreferenced(tx, digests).await).await?;
             if unused.is_empty() {

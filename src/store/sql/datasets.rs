@@ -1,7 +1,7 @@
 //! Datasets, in the table `scenes`.
 
 use super::{
-    CREATED, SqlStore, accounts,
+    CREATED, Store, accounts,
     db::{Row, Sql, Transaction, query, values},
     idempotency, insert_blob, lists, locks,
     rows::{blob, document, instant, json, micros, parsed, whole},
@@ -9,10 +9,10 @@ use super::{
 use crate::{
     domain::{DatasetId, Digest, ProjectId},
     store::{
-        DatasetCreation, DatasetDeletion, DatasetPageKey, DatasetRecord, Datasets, NewDataset, StoreError,
-        StoreFuture,
+        DatasetCreation, DatasetDeletion, DatasetPageKey, DatasetRecord, NewDataset, StoreError, StoreFuture,
     },
 };
+use jiff::Timestamp;
 
 /// HTTP status of the response to a request for a resource that exists already.
 const FOUND: u16 = 200;
@@ -56,78 +56,97 @@ async fn select_by_archive(
     .await
 }
 
-impl Datasets for SqlStore {
-    fn create_dataset(&self, new: NewDataset) -> StoreFuture<'_, DatasetCreation> {
-        Box::pin(self.write(async move |tx, now| {
-            if let Some(intent) = &new.intent {
-                // Before anything is locked: it waits for another request with the same key.
-                let (id, keep) = (new.id.to_string(), self.policy.idempotency_ttl);
-                idempotency::remember(tx, intent, CREATED, &id, keep, now).await?;
-            }
-            locks::project(tx, new.project).await?;
-            let known = select_by_archive(tx, new.project, new.dataset.digest).await?;
-            let id = known.as_ref().map_or(new.id, |known| known.id);
-            if known.is_none() {
-                // The bytes reserved for the upload become the dataset's.
-                if let Some(upload) = new.upload {
-                    query("UPDATE uploads SET ended_at = ? WHERE id = ? AND ended_at IS NULL")
-                        .bind_all(values![micros(now), upload.to_string()])
-                        .execute(&mut *tx)
-                        .await?;
-                }
-                accounts::admit_blob(tx, self.policy.limits.quota_bytes, new.project, new.dataset).await?;
-                insert_blob(tx, new.dataset, now).await?;
-                query(
-                    "INSERT INTO scenes (id, project, dataset, name, summary, created_at) VALUES (?, ?, ?, ?, ?, ?)",
-                )
-                .bind_all(values![id.to_string(), new.project.to_string(), new.dataset.digest.to_string()])
-                .bind_all(values![&new.name, json(&new.summary)?, micros(now)])
-                .execute(&mut *tx)
-                .await?;
-            }
+impl Store {
+    async fn insert_dataset(
+        &self,
+        tx: &mut Transaction,
+        new: NewDataset,
+        now: Timestamp,
+    ) -> Result<DatasetCreation, StoreError> {
+        if let Some(intent) = &new.intent {
+            // Before anything is locked: it waits for another request with the same key.
+            let (id, keep) = (new.id.to_string(), self.policy.idempotency_ttl);
+            idempotency::remember(tx, intent, CREATED, &id, keep, now).await?;
+        }
+        locks::project(tx, new.project).await?;
+        let known = select_by_archive(tx, new.project, new.dataset.digest).await?;
+        let id = known.as_ref().map_or(new.id, |known| known.id);
+        if known.is_none() {
+            // The bytes reserved for the upload become the dataset's.
             if let Some(upload) = new.upload {
-                query("UPDATE uploads SET ended_at = COALESCE(ended_at, ?), scene = ? WHERE id = ?")
-                    .bind_all(values![micros(now), id.to_string(), upload.to_string()])
+                query("UPDATE uploads SET ended_at = ? WHERE id = ? AND ended_at IS NULL")
+                    .bind_all(values![micros(now), upload.to_string()])
                     .execute(&mut *tx)
                     .await?;
             }
-            if let (Some(intent), Some(_)) = (&new.intent, &known) {
-                idempotency::amend(tx, intent, FOUND, &id.to_string()).await?;
-            }
-            Ok(match known {
-                Some(known) => DatasetCreation::Existing(known),
-                None => DatasetCreation::Created(select(tx, id).await?.ok_or(sqlx::Error::RowNotFound)?),
-            })
-        }))
+            accounts::admit_blob(tx, self.policy.limits.quota_bytes, new.project, new.dataset).await?;
+            insert_blob(tx, new.dataset, now).await?;
+            query(
+                "INSERT INTO scenes (id, project, dataset, name, summary, created_at) VALUES (?, ?, ?, ?, ?, ?)",
+            )
+            .bind_all(values![id.to_string(), new.project.to_string(), new.dataset.digest.to_string()])
+            .bind_all(values![&new.name, json(&new.summary)?, micros(now)])
+            .execute(&mut *tx)
+            .await?;
+        }
+        if let Some(upload) = new.upload {
+            query("UPDATE uploads SET ended_at = COALESCE(ended_at, ?), scene = ? WHERE id = ?")
+                .bind_all(values![micros(now), id.to_string(), upload.to_string()])
+                .execute(&mut *tx)
+                .await?;
+        }
+        if let (Some(intent), Some(_)) = (&new.intent, &known) {
+            idempotency::amend(tx, intent, FOUND, &id.to_string()).await?;
+        }
+        Ok(match known {
+            Some(known) => DatasetCreation::Existing(known),
+            None => DatasetCreation::Created(select(tx, id).await?.ok_or(sqlx::Error::RowNotFound)?),
+        })
     }
 
-    fn dataset(&self, id: DatasetId) -> StoreFuture<'_, Option<DatasetRecord>> {
-        Box::pin(self.read(async move |tx| select(tx, id).await))
+    /// Adds a dataset, unless its project has one with the same archive.
+    ///
+    /// # Errors
+    /// [`StoreError::QuotaExceeded`], [`StoreError::IdempotencyKeyUsed`].
+    pub fn create_dataset(&self, new: NewDataset) -> StoreFuture<'_, DatasetCreation> {
+        self.create("create_dataset", |store| {
+            Box::pin(store.write(async move |tx, now| store.insert_dataset(tx, new, now).await))
+        })
     }
 
-    fn dataset_by_archive(
+    /// The dataset.
+    pub fn dataset(&self, id: DatasetId) -> StoreFuture<'_, Option<DatasetRecord>> {
+        self.call("dataset").run(self.read(async move |tx| select(tx, id).await))
+    }
+
+    /// The dataset of the project with this archive.
+    pub fn dataset_by_archive(
         &self,
         project: ProjectId,
         archive: Digest,
     ) -> StoreFuture<'_, Option<DatasetRecord>> {
-        Box::pin(self.read(async move |tx| select_by_archive(tx, project, archive).await))
+        self.call("dataset_by_archive")
+            .run(self.read(async move |tx| select_by_archive(tx, project, archive).await))
     }
 
-    fn datasets(
+    /// Up to `limit` datasets of one project or of all, newest first, older than `before`.
+    pub fn datasets(
         &self,
         project: Option<ProjectId>,
         before: Option<DatasetPageKey>,
         limit: u32,
     ) -> StoreFuture<'_, Vec<DatasetRecord>> {
-        Box::pin(lists::datasets(project, before, limit).all(&self.readers, dataset))
+        self.call("datasets").run(lists::datasets(project, before, limit).all(&self.readers, dataset))
     }
 
-    fn delete_dataset(
+    /// Deletes the dataset if it has the requested version and no queued or running job trains on it; `None` if there is no such
+    /// dataset. Finished jobs keep its archive.
+    pub fn delete_dataset(
         &self,
         id: DatasetId,
         version: Option<u64>,
     ) -> StoreFuture<'_, Option<DatasetDeletion>> {
-        Box::pin(self.write(async move |tx, _| {
+        self.call("delete_dataset").run(self.write(async move |tx, _| {
             locks::projects(tx, "SELECT project FROM scenes WHERE id = ", id.to_string()).await?;
             let Some(record) = select(tx, id).await? else { return Ok(None) };
             if version.is_some_and(|version| version != record.version) {

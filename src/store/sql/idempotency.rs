@@ -3,13 +3,13 @@
 use std::time::Duration;
 
 use super::{
-    SqlStore,
+    Store,
     db::{Transaction, query, values},
     rows::{self, before, micros},
 };
 use crate::{
     domain::ProjectId,
-    store::{Idempotency, IdempotentRequest, PriorRequest, StoreError, StoreFuture},
+    store::{IdempotentRequest, PriorRequest, StoreError, StoreFuture},
 };
 use jiff::Timestamp;
 
@@ -69,13 +69,14 @@ async fn select(
         .await
 }
 
-impl Idempotency for SqlStore {
-    fn prior_request<'a>(
+impl Store {
+    /// The project's earlier request with this key, unless [`crate::store::QueuePolicy::idempotency_ttl`] has passed since.
+    pub fn prior_request<'a>(
         &'a self,
         project: ProjectId,
         key: &'a str,
     ) -> StoreFuture<'a, Option<PriorRequest>> {
-        Box::pin(async move {
+        self.call("prior_request").run(async move {
             let now = self.now(&self.readers).await?;
             query("SELECT * FROM idempotency WHERE project = ? AND key = ? AND created_at > ?")
                 .bind_all(values![project.to_string(), key, micros(before(now, self.policy.idempotency_ttl))])

@@ -3,14 +3,14 @@
 use std::num::NonZeroU32;
 
 use super::{
-    SqlStore,
+    Store,
     db::{Row, Transaction, query, values},
     exists, lists, locks, projects, rows,
     rows::micros,
 };
 use crate::{
     domain::{KeyHash, KeyId, ProjectId, Scope},
-    store::{KeyChange, KeyProject, KeyRecord, Keys, NewKey, StoreError, StoreFuture},
+    store::{KeyChange, KeyProject, KeyRecord, NewKey, StoreError, StoreFuture},
 };
 use jiff::Timestamp;
 
@@ -41,36 +41,47 @@ pub(super) async fn insert(
     key(&row)
 }
 
-impl Keys for SqlStore {
-    fn create_key(&self, new: NewKey) -> StoreFuture<'_, KeyRecord> {
-        Box::pin(self.write(async move |tx, now| insert(tx, new, now).await))
+impl Store {
+    /// Adds a key, with its project if that is new.
+    ///
+    /// # Errors
+    /// [`StoreError::NoProject`].
+    pub fn create_key(&self, new: NewKey) -> StoreFuture<'_, KeyRecord> {
+        self.call("create_key").run(self.write(async move |tx, now| insert(tx, new, now).await))
     }
 
-    fn create_first_key(&self, new: NewKey) -> StoreFuture<'_, Option<KeyRecord>> {
-        Box::pin(self.write(async move |tx, now| {
+    /// Adds a key unless there is one, valid or not; then returns `None`.
+    ///
+    /// # Errors
+    /// [`StoreError::NoProject`].
+    pub fn create_first_key(&self, new: NewKey) -> StoreFuture<'_, Option<KeyRecord>> {
+        self.call("create_first_key").run(self.write(async move |tx, now| {
             locks::keys(tx).await?;
             let row = query("SELECT 1 FROM keys LIMIT 1").fetch_optional(&mut *tx).await?;
             if row.is_some() { Ok(None) } else { insert(tx, new, now).await.map(Some) }
         }))
     }
 
-    fn key(&self, id: KeyId) -> StoreFuture<'_, Option<KeyRecord>> {
+    /// A key, revoked or not.
+    pub fn key(&self, id: KeyId) -> StoreFuture<'_, Option<KeyRecord>> {
         let found = query("SELECT * FROM keys WHERE id = ?").bind(id.to_string());
-        Box::pin(found.optional(&self.readers, key))
+        self.call("key").run(found.optional(&self.readers, key))
     }
 
-    fn keys(
+    /// Up to `limit` keys of one project or of all, newest first, older than `before`; revoked ones only if they are asked for.
+    pub fn keys(
         &self,
         project: Option<ProjectId>,
         with_revoked: bool,
         before: Option<KeyId>,
         limit: u32,
     ) -> StoreFuture<'_, Vec<KeyRecord>> {
-        Box::pin(lists::keys(project, with_revoked, before, limit).all(&self.readers, key))
+        self.call("keys").run(lists::keys(project, with_revoked, before, limit).all(&self.readers, key))
     }
 
-    fn update_key(&self, id: KeyId, change: KeyChange) -> StoreFuture<'_, Option<KeyRecord>> {
-        Box::pin(self.write(async move |tx, _| {
+    /// Changes a key, and returns it; `None` if there is no such key, or it is revoked.
+    pub fn update_key(&self, id: KeyId, change: KeyChange) -> StoreFuture<'_, Option<KeyRecord>> {
+        self.call("update_key").run(self.write(async move |tx, _| {
             // In one statement, so that concurrent changes of other fields are kept.
             let mut update = query("UPDATE keys SET name = COALESCE(?, name)").bind(&change.name);
             let rate = change.requests_per_minute.map(|rate| rate.map(NonZeroU32::get));
@@ -81,8 +92,10 @@ impl Keys for SqlStore {
         }))
     }
 
-    fn revoke_key(&self, id: KeyId) -> StoreFuture<'_, Option<KeyRecord>> {
-        Box::pin(self.write(async move |tx, now| {
+    /// Revokes a key from the next request on, and returns it; `None` if there is no such key. No change if it is already
+    /// revoked.
+    pub fn revoke_key(&self, id: KeyId) -> StoreFuture<'_, Option<KeyRecord>> {
+        self.call("revoke_key").run(self.write(async move |tx, now| {
             query("UPDATE keys SET revoked_at = COALESCE(revoked_at, ?) WHERE id = ? RETURNING *")
                 .bind_all(values![micros(now), id.to_string()])
                 .optional(tx, key)
@@ -90,8 +103,9 @@ impl Keys for SqlStore {
         }))
     }
 
-    fn authenticate(&self, hash: KeyHash) -> StoreFuture<'_, Option<KeyRecord>> {
-        Box::pin(async move {
+    /// The key with this hash, unless it is revoked or has expired.
+    pub fn authenticate(&self, hash: KeyHash) -> StoreFuture<'_, Option<KeyRecord>> {
+        self.call("authenticate").run(async move {
             let now = self.now(&self.readers).await?;
             let row = query(
                 "SELECT * FROM keys WHERE hash = ? AND revoked_at IS NULL AND COALESCE(expires_at > ?, true)",
@@ -108,15 +122,17 @@ impl Keys for SqlStore {
         })
     }
 
-    fn has_keys(&self) -> StoreFuture<'_, bool> {
-        Box::pin(async move {
+    /// Whether there is a key, valid or not.
+    pub fn has_keys(&self) -> StoreFuture<'_, bool> {
+        self.call("has_keys").run(async move {
             let row = query("SELECT EXISTS (SELECT 1 FROM keys) AS found").fetch_one(&self.readers).await?;
             Ok(row.try_get("found")?)
         })
     }
 
-    fn touch_key(&self, id: KeyId) -> StoreFuture<'_, ()> {
-        Box::pin(self.write(async move |tx, now| {
+    /// Records a use of the key.
+    pub fn touch_key(&self, id: KeyId) -> StoreFuture<'_, ()> {
+        self.call("touch_key").run(self.write(async move |tx, now| {
             query("UPDATE keys SET last_used_at = ?1 WHERE id = ?2 AND COALESCE(last_used_at, 0) < ?1")
                 .bind_all(values![micros(now), id.to_string()])
                 .run(tx)

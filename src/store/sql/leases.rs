@@ -3,18 +3,18 @@
 use std::sync::{MutexGuard, PoisonError};
 
 use super::{
-    SqlStore,
+    Store,
     queue::{self, Claiming},
 };
 use crate::{
     domain::{FailurePoint, JobId, failure_point::reach},
     store::{
-        Claim, Store as _, StoreError, WorkerDeath,
+        Claim, StoreError, WorkerDeath,
         leases::{LeaseRow, LeaseWatch},
     },
 };
 
-impl SqlStore {
+impl Store {
     /// Compares all leases with the watch, and returns those that have expired.
     async fn expired(&self) -> Result<Vec<(LeaseRow, WorkerDeath)>, StoreError> {
         let rows = queue::leases(&self.readers).await?;
@@ -35,7 +35,7 @@ impl SqlStore {
         }
         // Each in a transaction of its own: each locks the projects that it changes at once.
         self.reap(expired).await?;
-        self.fail_expired().await?;
+        self.fail_overdue().await?;
         loop {
             let claimed = self.write(async move |tx, now| {
                 let claimed = queue::claim(tx, &self.policy, worker, now).await?;

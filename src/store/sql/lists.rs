@@ -122,7 +122,7 @@ mod tests {
     use crate::{
         domain::{DatasetId, JobId, JobState},
         store::{
-            SqlStore,
+            Store,
             sql::{
                 ANY_RUNNING, FIRST_DEADLINE, accounts, datasets, open::temporary_store, queue, retention,
                 stats,
@@ -131,7 +131,7 @@ mod tests {
     };
 
     /// SQLite's query plan of a statement.
-    async fn plan(store: &SqlStore, statement: &str) -> Vec<String> {
+    async fn plan(store: &Store, statement: &str) -> Vec<String> {
         let mut explained = query("EXPLAIN QUERY PLAN ");
         explained.push_text(statement);
         let rows = explained.fetch_all(&store.readers).await.expect("a plan");

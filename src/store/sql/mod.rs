@@ -16,6 +16,7 @@ mod datasets;
 mod db;
 mod events;
 mod exports;
+mod faults;
 mod idempotency;
 mod job_changes;
 mod keys;
@@ -46,7 +47,7 @@ use serde_json::json;
 
 use super::{
     Artifact, AttemptRecord, BlobRef, Cancellation, ChangeKind, Changes, Claim, Deletion, Heartbeat,
-    JobFilter, JobRecord, Lease, NewJob, Outcome, PageKey, QueuePolicy, RetryOutcome, RetryRequest, Store,
+    JobFilter, JobRecord, Lease, NewJob, Outcome, PageKey, QueuePolicy, RetryOutcome, RetryRequest,
     StoreError, StoreFuture, WorkerDeath, leases::LeaseWatch,
 };
 use crate::domain::{
@@ -54,6 +55,7 @@ use crate::domain::{
 };
 use changes::Listener;
 use db::{Pool, Row, Sql, Target, Transaction, query, values};
+pub use faults::StoreFaults;
 pub use open::{DatabaseLocation, InvalidDatabaseUrl, PostgresUrl, SchemaChange};
 use queue::Competition;
 use rows::{JobParts, json as text, micros};
@@ -78,15 +80,21 @@ const FIRST_DEADLINE: &str = "SELECT min(deadline_at) AS first FROM jobs
 /// A running job, if there is one. The state is no value, since the indexes of running jobs serve only statements that name it.
 const ANY_RUNNING: &str = "SELECT 1 FROM jobs WHERE state = 'running' LIMIT 1";
 
-/// [`Store`] on SQLite or PostgreSQL.
-pub struct SqlStore {
+/// Projects, keys, datasets, uploads, jobs with their queue, exports, webhooks and viewers, on SQLite or PostgreSQL.
+///
+/// A method that changes rows does so in one transaction, or in several short ones that each leave a consistent state. Clones share
+/// the connections and the observation of leases.
+#[derive(Clone)]
+pub struct Store {
     writer: Pool,
     readers: Pool,
     clock: Arc<dyn Clock>,
     time: TimeSource,
     policy: QueuePolicy,
-    leases: Mutex<LeaseWatch>,
-    listener: OnceLock<Listener>,
+    leases: Arc<Mutex<LeaseWatch>>,
+    listener: Arc<OnceLock<Listener>>,
+    /// Which calls fail, in tests.
+    faults: Option<Arc<dyn StoreFaults>>,
 }
 
 /// Whose wall clock gives the times that are written.
@@ -98,7 +106,7 @@ enum TimeSource {
     Database,
 }
 
-impl SqlStore {
+impl Store {
     /// Closes every connection; what was committed is on disk.
     pub async fn close(&self) {
         if let Some(listener) = self.listener.get() {
@@ -181,6 +189,17 @@ impl SqlStore {
         select_job(tx, new.id).await?.ok_or(StoreError::Database(sqlx::Error::RowNotFound))
     }
 
+    /// Fails queued jobs whose deadline has passed, and counts them.
+    async fn fail_overdue(&self) -> Result<u64, StoreError> {
+        let first: Option<i64> = query(FIRST_DEADLINE).fetch_one(&self.readers).await?.try_get("first")?;
+        // Most often there is none, and nobody has to ask for the time.
+        let Some(first) = first else { return Ok(0) };
+        if first > micros(self.now(&self.readers).await?) {
+            return Ok(0);
+        }
+        self.write(async move |tx, now| job_changes::fail_expired(tx, now).await).await
+    }
+
     /// Whether a claim could find a job, so that idle polling takes no write lock.
     async fn anything_due(&self) -> Result<bool, StoreError> {
         let now = self.now(&self.readers).await?;
@@ -250,30 +269,40 @@ async fn job_exists(connection: &mut Transaction, id: JobId) -> Result<bool, Sto
     exists(connection, "SELECT 1 FROM jobs WHERE id = ?", id).await
 }
 
-impl Store for SqlStore {
-    fn time(&self) -> StoreFuture<'_, Timestamp> {
-        Box::pin(self.now(&self.readers))
+impl Store {
+    /// The time by which the store judges deadlines and expiries: the database's, where machines share it.
+    pub fn time(&self) -> StoreFuture<'_, Timestamp> {
+        self.call("time").run(self.now(&self.readers))
     }
 
-    fn create_job(&self, new: NewJob) -> StoreFuture<'_, JobRecord> {
-        Box::pin(self.write(async move |tx, now| {
-            let created = self.insert_job(tx, new, now).await?;
-            reach(FailurePoint::BeforeCreate);
-            Ok(created)
-        }))
+    /// Adds a job in state `queued`, with its dataset's blob row, its first event and its request's `Idempotency-Key`.
+    ///
+    /// # Errors
+    /// [`StoreError::IdempotencyKeyUsed`], [`StoreError::QuotaExceeded`], [`StoreError::TooManyJobs`],
+    /// [`StoreError::PriorityTooHigh`], [`StoreError::NoDataset`].
+    pub fn create_job(&self, new: NewJob) -> StoreFuture<'_, JobRecord> {
+        self.create("create_job", |store| {
+            Box::pin(store.write(async move |tx, now| {
+                let created = store.insert_job(tx, new, now).await?;
+                reach(FailurePoint::BeforeCreate);
+                Ok(created)
+            }))
+        })
     }
 
-    fn job(&self, id: JobId) -> StoreFuture<'_, Option<JobRecord>> {
-        Box::pin(self.read(async move |tx| select_job(tx, id).await))
+    /// The job.
+    pub fn job(&self, id: JobId) -> StoreFuture<'_, Option<JobRecord>> {
+        self.call("job").run(self.read(async move |tx| select_job(tx, id).await))
     }
 
-    fn jobs<'a>(
+    /// Up to `limit` jobs that pass the filter, newest first, older than `before`.
+    pub fn jobs<'a>(
         &'a self,
         filter: &'a JobFilter,
         before: Option<PageKey>,
         limit: u32,
     ) -> StoreFuture<'a, Vec<JobRecord>> {
-        Box::pin(self.read(async move |tx| {
+        self.call("jobs").run(self.read(async move |tx| {
             let rows = lists::jobs(filter, before, limit).fetch_all(&mut *tx).await?;
             let mut records = Vec::with_capacity(rows.len());
             for row in &rows {
@@ -283,8 +312,9 @@ impl Store for SqlStore {
         }))
     }
 
-    fn events(&self, id: JobId, after: u64, limit: u32) -> StoreFuture<'_, Option<Vec<Event>>> {
-        Box::pin(self.read(async move |tx| {
+    /// Up to `limit` events with numbers above `after`, oldest first; `None` if there is no such job.
+    pub fn events(&self, id: JobId, after: u64, limit: u32) -> StoreFuture<'_, Option<Vec<Event>>> {
+        self.call("events").run(self.read(async move |tx| {
             if !job_exists(tx, id).await? {
                 return Ok(None);
             }
@@ -296,30 +326,35 @@ impl Store for SqlStore {
         }))
     }
 
-    fn newest_events<'a>(&'a self, jobs: &'a [JobId]) -> StoreFuture<'a, Vec<(JobId, u64)>> {
-        Box::pin(async move {
+    /// The number of the newest event of each of these jobs; omits jobs that do not exist.
+    pub fn newest_events<'a>(&'a self, jobs: &'a [JobId]) -> StoreFuture<'a, Vec<(JobId, u64)>> {
+        self.call("newest_events").run(async move {
             let mut newest = query("SELECT id, last_seq FROM jobs WHERE id IN ");
             newest.push(MEMBERS);
             newest.bind(text(&jobs)?).all(&self.readers, rows::newest_event).await
         })
     }
 
-    fn attempts(&self, id: JobId) -> StoreFuture<'_, Vec<AttemptRecord>> {
+    /// Every attempt at the job, oldest first.
+    pub fn attempts(&self, id: JobId) -> StoreFuture<'_, Vec<AttemptRecord>> {
         let attempts = query("SELECT * FROM attempts WHERE job_id = ? ORDER BY number");
-        Box::pin(attempts.bind(id.to_string()).all(&self.readers, rows::attempt))
+        self.call("attempts").run(attempts.bind(id.to_string()).all(&self.readers, rows::attempt))
     }
 
-    fn cancel(&self, id: JobId) -> StoreFuture<'_, Option<Cancellation>> {
-        Box::pin(async move {
+    /// Cancels a queued job at once, or requests that the worker of a running one stop; `None` if there is no such job.
+    pub fn cancel(&self, id: JobId) -> StoreFuture<'_, Option<Cancellation>> {
+        self.call("cancel").run(async move {
             // A job whose worker is dead is cancelled at once, without another worker.
             self.reap(self.expired_of(id).await?).await?;
-            self.fail_expired().await?;
+            self.fail_overdue().await?;
             self.write(async move |tx, now| queue::cancel(tx, id, now).await).await
         })
     }
 
-    fn retry_job(&self, id: JobId, request: RetryRequest) -> StoreFuture<'_, Option<RetryOutcome>> {
-        Box::pin(self.write(async move |tx, now| {
+    /// Queues a new job with the options of this one, which must have failed or been cancelled, for the same project; `None` if there is
+    /// no such job. Errors as in [`Store::create_job`].
+    pub fn retry_job(&self, id: JobId, request: RetryRequest) -> StoreFuture<'_, Option<RetryOutcome>> {
+        self.call("retry_job").run(self.write(async move |tx, now| {
             Ok(match job_changes::retry_of(tx, id, request).await? {
                 None => None,
                 Some(Err(state)) => Some(RetryOutcome::NotRetryable(state)),
@@ -328,29 +363,25 @@ impl Store for SqlStore {
         }))
     }
 
-    fn delete_job(&self, id: JobId, version: Option<u64>) -> StoreFuture<'_, Option<Deletion>> {
-        Box::pin(async move {
+    /// Deletes a job that has ended, with its events, attempts and references to blobs, if it has the requested version; `None` if there
+    /// is no such job.
+    pub fn delete_job(&self, id: JobId, version: Option<u64>) -> StoreFuture<'_, Option<Deletion>> {
+        self.call("delete_job").run(async move {
             // A job whose worker is dead can be deleted at once, as it can be cancelled.
             self.reap(self.expired_of(id).await?).await?;
             self.write(async move |tx, _| job_changes::delete(tx, id, version).await).await
         })
     }
 
-    fn fail_expired(&self) -> StoreFuture<'_, u64> {
-        Box::pin(async move {
-            let first: Option<i64> =
-                query(FIRST_DEADLINE).fetch_one(&self.readers).await?.try_get("first")?;
-            // Most often there is none, and nobody has to ask for the time.
-            let Some(first) = first else { return Ok(0) };
-            if first > micros(self.now(&self.readers).await?) {
-                return Ok(0);
-            }
-            self.write(async move |tx, now| job_changes::fail_expired(tx, now).await).await
-        })
+    /// Fails queued jobs whose deadline has passed, and counts them. Running ones learn it from [`Store::heartbeat`].
+    pub fn fail_expired(&self) -> StoreFuture<'_, u64> {
+        self.call("fail_expired").run(self.fail_overdue())
     }
 
-    fn resumable<'a>(&'a self, jobs: &'a [JobId]) -> StoreFuture<'a, Vec<JobId>> {
-        Box::pin(async move {
+    /// Those of the jobs whose checkpoints may still be used: by themselves, by a retry that is queued or running, or by one that is made
+    /// within [`QueuePolicy::checkpoint_ttl`] after they failed or were cancelled.
+    pub fn resumable<'a>(&'a self, jobs: &'a [JobId]) -> StoreFuture<'a, Vec<JobId>> {
+        self.call("resumable").run(async move {
             let now = self.now(&self.readers).await?;
             let mut resumable = query("SELECT id FROM jobs WHERE id IN ");
             resumable.push(MEMBERS).push(
@@ -365,31 +396,43 @@ impl Store for SqlStore {
         })
     }
 
-    fn claim<'a>(&'a self, worker: &'a str) -> StoreFuture<'a, Option<Claim>> {
-        Box::pin(async move {
+    /// Grants `worker` a job that is due: of projects that run fewer jobs than they may, those with the highest priority; of these, one of
+    /// the project with the fewest running jobs, or of those the one whose latest claim is longest ago; the oldest first. Expires leases
+    /// first, as [`Store::expire_leases`].
+    pub fn claim<'a>(&'a self, worker: &'a str) -> StoreFuture<'a, Option<Claim>> {
+        self.call("claim").run(async move {
             let claimed = self.claim_next(worker).await;
             self.track_lease(claimed.map(Option::unzip))
         })
     }
 
-    fn heartbeat<'a>(&'a self, lease: &'a Lease) -> StoreFuture<'a, Heartbeat> {
-        Box::pin(async move {
+    /// Renews a lease, and returns whether the job is to stop.
+    pub fn heartbeat<'a>(&'a self, lease: &'a Lease) -> StoreFuture<'a, Heartbeat> {
+        self.call("heartbeat").run(async move {
             let renewed =
                 self.write(async move |tx, now| queue::heartbeat(tx, &self.policy, lease, now).await).await;
             self.track_lease(renewed.map(|(row, heartbeat)| (Some(row), heartbeat)))
         })
     }
 
-    fn report<'a>(&'a self, lease: &'a Lease, phase: Phase, progress: &'a Progress) -> StoreFuture<'a, ()> {
-        Box::pin(
+    /// Records the attempt's phase and progress. Every change of phase adds an event; progress at most one per
+    /// [`QueuePolicy::progress_event_every`].
+    pub fn report<'a>(
+        &'a self,
+        lease: &'a Lease,
+        phase: Phase,
+        progress: &'a Progress,
+    ) -> StoreFuture<'a, ()> {
+        self.call("report").run(
             self.write(async move |tx, now| {
                 queue::report(tx, &self.policy, lease, phase, progress, now).await
             }),
         )
     }
 
-    fn finish<'a>(&'a self, lease: &'a Lease, outcome: Outcome) -> StoreFuture<'a, JobState> {
-        Box::pin(self.write(async move |tx, now| {
+    /// Ends the attempt, and returns the job's new state.
+    pub fn finish<'a>(&'a self, lease: &'a Lease, outcome: Outcome) -> StoreFuture<'a, JobState> {
+        self.call("finish").run(self.write(async move |tx, now| {
             let state = queue::finish(tx, &self.policy, lease, outcome, now).await?;
             if state == JobState::Succeeded {
                 reach(FailurePoint::BeforeCommit);
@@ -398,29 +441,36 @@ impl Store for SqlStore {
         }))
     }
 
-    fn expire_worker<'a>(&'a self, worker: &'a str, death: WorkerDeath) -> StoreFuture<'a, u64> {
-        Box::pin(
+    /// Ends all attempts of a worker that is known to be dead, and counts them.
+    pub fn expire_worker<'a>(&'a self, worker: &'a str, death: WorkerDeath) -> StoreFuture<'a, u64> {
+        self.call("expire_worker").run(
             self.write(async move |tx, now| queue::expire_worker(tx, &self.policy, worker, death, now).await),
         )
     }
 
-    fn expire_leases(&self) -> StoreFuture<'_, u64> {
-        Box::pin(async move {
+    /// Ends all attempts whose leases expired under this process's observation, and counts them. To be called often: renewals between two
+    /// calls are not observed.
+    pub fn expire_leases(&self) -> StoreFuture<'_, u64> {
+        self.call("expire_leases").run(async move {
             let expired = self.reap_expired().await;
             self.track_lease(expired.map(|count| (None, count)))
         })
     }
 
-    fn changes(&self, kind: ChangeKind) -> Changes {
+    /// Changes of a kind from now on, as far as the database tells of them.
+    pub fn changes(&self, kind: ChangeKind) -> Changes {
         self.listener.get_or_init(|| Listener::start(&self.readers)).changes(kind)
     }
 
-    fn has_running_job(&self) -> StoreFuture<'_, bool> {
-        Box::pin(async move { Ok(query(ANY_RUNNING).optional(&self.readers, |_| Ok(())).await?.is_some()) })
+    /// Whether any job is running.
+    pub fn has_running_job(&self) -> StoreFuture<'_, bool> {
+        self.call("has_running_job")
+            .run(async move { Ok(query(ANY_RUNNING).optional(&self.readers, |_| Ok(())).await?.is_some()) })
     }
 
-    fn ping(&self) -> StoreFuture<'_, ()> {
-        Box::pin(async move {
+    /// One round trip to the database.
+    pub fn ping(&self) -> StoreFuture<'_, ()> {
+        self.call("ping").run(async move {
             query("SELECT 1").fetch_one(&self.readers).await?;
             Ok(())
         })

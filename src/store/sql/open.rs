@@ -25,12 +25,12 @@ use thiserror::Error;
 use url::Url;
 
 use super::{
-    SqlStore, TimeSource,
+    Store, TimeSource,
     db::{Pool, Sql, query},
 };
 use crate::{
     domain::Clock,
-    store::{Keys as _, QueuePolicy, StoreError},
+    store::{QueuePolicy, StoreError},
 };
 
 /// Every change of SQLite's schema, in order.
@@ -214,7 +214,7 @@ impl fmt::Debug for PostgresUrl {
     }
 }
 
-impl SqlStore {
+impl Store {
     /// Opens the database, creates SQLite's file if there is none, and migrates the schema.
     ///
     /// # Errors
@@ -239,10 +239,10 @@ impl SqlStore {
         Ok(open(&location.into(), clock, policy, OlderSchema::Refuse).await?.0)
     }
 
-    /// As [`SqlStore::open`]; also returns the schema's versions before and after.
+    /// As [`Store::open`]; also returns the schema's versions before and after.
     ///
     /// # Errors
-    /// As [`SqlStore::open`].
+    /// As [`Store::open`].
     pub async fn migrate(
         location: impl Into<DatabaseLocation>,
         clock: Arc<dyn Clock>,
@@ -278,7 +278,7 @@ async fn open(
     clock: Arc<dyn Clock>,
     policy: QueuePolicy,
     older: OlderSchema,
-) -> Result<(SqlStore, Option<i64>), StoreError> {
+) -> Result<(Store, Option<i64>), StoreError> {
     let (writer, readers, time, found) = match location {
         DatabaseLocation::File(path) => {
             let (writer, readers, found) = open_sqlite(path, location, older).await?;
@@ -289,8 +289,8 @@ async fn open(
             (pool.clone(), pool, url.time, found)
         }
     };
-    let (leases, listener) = (std::sync::Mutex::default(), OnceLock::new());
-    Ok((SqlStore { writer, readers, clock, time, policy, leases, listener }, found))
+    let (leases, listener, faults) = (Arc::default(), Arc::new(OnceLock::new()), None);
+    Ok((Store { writer, readers, clock, time, policy, leases, listener, faults }, found))
 }
 
 fn open_error(location: &DatabaseLocation) -> impl Fn(sqlx::Error) -> StoreError {
@@ -447,10 +447,10 @@ async fn lock_beside(path: &Path) -> io::Result<File> {
 
 /// A new database in a temporary folder.
 #[cfg(test)]
-pub(super) async fn temporary_store() -> (tempfile::TempDir, SqlStore) {
+pub(super) async fn temporary_store() -> (tempfile::TempDir, Store) {
     let folder = tempfile::tempdir().expect("a folder");
     let clock = Arc::new(crate::domain::SystemClock);
-    let store = SqlStore::open(&folder.path().join("tcgs.sqlite"), clock, QueuePolicy::default()).await;
+    let store = Store::open(&folder.path().join("tcgs.sqlite"), clock, QueuePolicy::default()).await;
     (folder, store.expect("a database"))
 }
 
@@ -459,22 +459,22 @@ mod tests {
     use super::*;
     use crate::{
         domain::{Scope, SystemClock, SystemRandom},
-        store::{KeyRequest, NewKey, Overview as _},
+        store::{KeyRequest, NewKey},
     };
 
-    fn sqlite(store: &SqlStore) -> &sqlx::SqlitePool {
+    fn sqlite(store: &Store) -> &sqlx::SqlitePool {
         let Pool::Sqlite(pool) = &store.writer else { panic!("SQLite") };
         pool
     }
 
-    async fn set_version(store: &SqlStore, by: &str) {
+    async fn set_version(store: &Store, by: &str) {
         let update = format!(
             "UPDATE _sqlx_migrations SET version = version {by} WHERE version = (SELECT max(version) FROM _sqlx_migrations)"
         );
         sqlx::query(sqlx::AssertSqlSafe(update)).execute(sqlite(store)).await.expect("written");
     }
 
-    async fn forget_newest_version(store: &SqlStore) {
+    async fn forget_newest_version(store: &Store) {
         sqlx::query(
             "DELETE FROM _sqlx_migrations WHERE version = (SELECT max(version) FROM _sqlx_migrations)",
         )
@@ -488,7 +488,7 @@ mod tests {
         let folder = tempfile::tempdir().expect("a folder");
         let path = folder.path().join("tcgs.sqlite");
         let clock = || Arc::new(SystemClock);
-        let open = || SqlStore::open_current(&path, clock(), QueuePolicy::default());
+        let open = || Store::open_current(&path, clock(), QueuePolicy::default());
         let store = open().await.expect("a new database gets its tables");
         assert!(store.schema_is_current().await.expect("an answer"));
         forget_newest_version(&store).await;
@@ -497,11 +497,11 @@ mod tests {
         store.close().await;
 
         let path = folder.path().join("newer.sqlite");
-        let store = SqlStore::open(&path, clock(), QueuePolicy::default()).await.expect("opens");
+        let store = Store::open(&path, clock(), QueuePolicy::default()).await.expect("opens");
         set_version(&store, "+ 1").await;
         for opened in [
-            SqlStore::open_current(&path, clock(), QueuePolicy::default()).await,
-            SqlStore::open(&path, clock(), QueuePolicy::default()).await,
+            Store::open_current(&path, clock(), QueuePolicy::default()).await,
+            Store::open(&path, clock(), QueuePolicy::default()).await,
         ] {
             let fault = opened.err().expect("refused").to_string();
             assert!(fault.contains("newer"), "{fault}");
@@ -514,12 +514,12 @@ mod tests {
         let folder = tempfile::tempdir().expect("a folder");
         let path = folder.path().join("tcgs.sqlite");
         let clock = || Arc::new(SystemClock);
-        let has_keys = || SqlStore::has_keys_in(&path, clock());
-        let open = || SqlStore::open(&path, clock(), QueuePolicy::default());
+        let has_keys = || Store::has_keys_in(&path, clock());
+        let open = || Store::open(&path, clock(), QueuePolicy::default());
         assert!(!has_keys().await.expect("an answer"));
         assert!(!has_keys().await.expect("an answer"), "it has made no tables");
         let (store, change) =
-            SqlStore::migrate(&path, clock(), QueuePolicy::default()).await.expect("a new database");
+            Store::migrate(&path, clock(), QueuePolicy::default()).await.expect("a new database");
         assert_eq!(change, SchemaChange { from: None, to: newest(&store.writer) });
         store.close().await;
         assert!(!has_keys().await.expect("an answer"));

@@ -1,7 +1,7 @@
 //! Projects.
 
 use super::{
-    SqlStore, accounts,
+    Store, accounts,
     db::{Row, Transaction, query, values},
     lists, locks,
     rows::{self, micros, optional_whole, whole},
@@ -9,8 +9,8 @@ use super::{
 use crate::{
     domain::{JobState, ProjectId, ProjectLimits},
     store::{
-        NewProject, ProjectChange, ProjectRecord, ProjectUpdate, ProjectUsage, Projects, StoreError,
-        StoreFuture, StoredBytes,
+        NewProject, ProjectChange, ProjectRecord, ProjectUpdate, ProjectUsage, StoreError, StoreFuture,
+        StoredBytes,
     },
 };
 use jiff::Timestamp;
@@ -90,27 +90,32 @@ fn usage(row: &Row, defaults: ProjectLimits) -> Result<ProjectUsage, StoreError>
     })
 }
 
-impl Projects for SqlStore {
-    fn create_project(&self, new: NewProject) -> StoreFuture<'_, ProjectRecord> {
-        Box::pin(self.write(async move |tx, now| insert(tx, &new, now).await))
+impl Store {
+    /// Adds a project.
+    pub fn create_project(&self, new: NewProject) -> StoreFuture<'_, ProjectRecord> {
+        self.call("create_project").run(self.write(async move |tx, now| insert(tx, &new, now).await))
     }
 
-    fn project(&self, id: ProjectId) -> StoreFuture<'_, Option<ProjectRecord>> {
-        Box::pin(self.read(async move |tx| select(tx, id).await))
+    /// The project.
+    pub fn project(&self, id: ProjectId) -> StoreFuture<'_, Option<ProjectRecord>> {
+        self.call("project").run(self.read(async move |tx| select(tx, id).await))
     }
 
-    fn projects(&self, before: Option<ProjectId>, limit: u32) -> StoreFuture<'_, Vec<ProjectRecord>> {
+    /// Up to `limit` projects, newest first, older than `before`.
+    pub fn projects(&self, before: Option<ProjectId>, limit: u32) -> StoreFuture<'_, Vec<ProjectRecord>> {
         let list = query("SELECT * FROM projects WHERE id < COALESCE(?, 'g') ORDER BY id DESC LIMIT ?");
-        Box::pin(list.bind(before.map(|id| id.to_string())).bind(limit).all(&self.readers, project))
+        self.call("projects")
+            .run(list.bind(before.map(|id| id.to_string())).bind(limit).all(&self.readers, project))
     }
 
-    fn update_project(
+    /// Changes name and limits if it has the expected version; `None` if there is no such project.
+    pub fn update_project(
         &self,
         id: ProjectId,
         version: Option<u64>,
         change: ProjectChange,
     ) -> StoreFuture<'_, Option<ProjectUpdate>> {
-        Box::pin(self.write(async move |tx, _| {
+        self.call("update_project").run(self.write(async move |tx, _| {
             locks::project(tx, id).await?;
             let Some(record) = select(tx, id).await? else { return Ok(None) };
             if version.is_some_and(|version| version != record.version) {
@@ -130,13 +135,14 @@ impl Projects for SqlStore {
         }))
     }
 
-    fn project_usage(
+    /// Usage of one project, or of up to `limit` projects, newest first, older than `before`.
+    pub fn project_usage(
         &self,
         project: Option<ProjectId>,
         before: Option<ProjectId>,
         limit: u32,
     ) -> StoreFuture<'_, Vec<ProjectUsage>> {
-        Box::pin(async move {
+        self.call("project_usage").run(async move {
             let now = self.now(&self.readers).await?;
             let list = lists::usage(project, before, limit, now);
             list.all(&self.readers, |row| usage(row, self.policy.limits)).await

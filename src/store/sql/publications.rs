@@ -4,16 +4,15 @@ use jiff::SignedDuration;
 use uuid::Uuid;
 
 use super::{
-    SqlStore,
+    Store,
     db::{Row, query, values},
     rows::{blob, instant, micros, parsed, signed},
 };
 use crate::{
     domain::Digest,
     store::{
-        BlobPlace, BlobRef, StoreError, StoreFuture,
-        blobs::earlier,
-        publications::{Announcement, Publications, REMOVER_IS_DEAD, Removable, Removal},
+        BlobPlace, BlobRef, StoreError, StoreFuture, earlier,
+        publications::{Announcement, REMOVER_IS_DEAD, Removable, Removal},
     },
 };
 
@@ -58,9 +57,10 @@ fn removal(row: &Row) -> Result<Removal, StoreError> {
     Ok(Removal { row: row.try_get("id")?, blob: blob(row, "digest")? })
 }
 
-impl Publications for SqlStore {
-    fn announce(&self, blob: BlobRef) -> StoreFuture<'_, Option<Announcement>> {
-        Box::pin(self.write(async move |tx, now| {
+impl Store {
+    /// Records that a blob is published now; `None` while its object is being deleted.
+    pub fn announce(&self, blob: BlobRef) -> StoreFuture<'_, Option<Announcement>> {
+        self.call("announce").run(self.write(async move |tx, now| {
             let row = values![blob.digest.to_string(), signed(blob.bytes), micros(now)];
             let new =
                 query(ANNOUNCE_NEW).bind_all(row.clone()).optional(&mut *tx, announcement(true)).await?;
@@ -75,8 +75,10 @@ impl Publications for SqlStore {
         }))
     }
 
-    fn confirm(&self, announced: Announcement) -> StoreFuture<'_, Option<Announcement>> {
-        Box::pin(self.write(async move |tx, now| {
+    /// Renews an announced publication, which is not new any more if another publisher has announced or renewed the blob since; `None` if it
+    /// was removed since, and has to be announced again.
+    pub fn confirm(&self, announced: Announcement) -> StoreFuture<'_, Option<Announcement>> {
+        self.call("confirm").run(self.write(async move |tx, now| {
             let row = values![announced.row, micros(now)];
             let only = query(CONFIRM_ONLY)
                 .bind_all(row.clone())
@@ -90,13 +92,14 @@ impl Publications for SqlStore {
         }))
     }
 
-    fn older_publications(
+    /// Up to `limit` blobs after `after`, in the order of their digests, that were last published longer ago than `age`.
+    pub fn older_publications(
         &self,
         age: SignedDuration,
         after: Option<Digest>,
         limit: u32,
     ) -> StoreFuture<'_, Vec<Digest>> {
-        Box::pin(self.read(async move |tx| {
+        self.call("older_publications").run(self.read(async move |tx| {
             let now = self.now(&mut *tx).await?;
             query(
                 "SELECT digest FROM publications
@@ -109,13 +112,16 @@ impl Publications for SqlStore {
         }))
     }
 
-    fn has_publications(&self) -> StoreFuture<'_, bool> {
+    /// Whether any blob is, or may be, in the bucket.
+    pub fn has_publications(&self) -> StoreFuture<'_, bool> {
         let first = query("SELECT 1 FROM publications LIMIT 1");
-        Box::pin(async move { Ok(first.optional(&self.readers, |_| Ok(())).await?.is_some()) })
+        self.call("has_publications")
+            .run(async move { Ok(first.optional(&self.readers, |_| Ok(())).await?.is_some()) })
     }
 
-    fn begin_removal(&self, digest: Digest, which: Removable) -> StoreFuture<'_, Option<Removal>> {
-        Box::pin(self.write(async move |tx, now| {
+    /// Marks a blob for removal; `None` if there is no such publication, or another removes it.
+    pub fn begin_removal(&self, digest: Digest, which: Removable) -> StoreFuture<'_, Option<Removal>> {
+        self.call("begin_removal").run(self.write(async move |tx, now| {
             let (first, last) = match which {
                 Removable::OlderThan(age) => (i64::MIN, micros(earlier(now, age)).saturating_sub(1)),
                 Removable::PublishedAt(at) => (micros(at), micros(at)),
@@ -131,8 +137,9 @@ impl Publications for SqlStore {
         }))
     }
 
-    fn abandoned_removals(&self) -> StoreFuture<'_, Vec<Removal>> {
-        Box::pin(self.write(async move |tx, now| {
+    /// Takes over what dead removers have left.
+    pub fn abandoned_removals(&self) -> StoreFuture<'_, Vec<Removal>> {
+        self.call("abandoned_removals").run(self.write(async move |tx, now| {
             query(
                 "UPDATE publications SET removing_since = ?1 WHERE removing_since < ?2
                  RETURNING id, digest, bytes",
@@ -143,8 +150,9 @@ impl Publications for SqlStore {
         }))
     }
 
-    fn end_removal(&self, removal: Removal) -> StoreFuture<'_, ()> {
-        Box::pin(self.write(async move |tx, _| {
+    /// Forgets a blob whose object is deleted.
+    pub fn end_removal(&self, removal: Removal) -> StoreFuture<'_, ()> {
+        self.call("end_removal").run(self.write(async move |tx, _| {
             query("DELETE FROM publications WHERE id = ? AND removing_since IS NOT NULL")
                 .bind(removal.row)
                 .run(tx)
@@ -152,8 +160,12 @@ impl Publications for SqlStore {
         }))
     }
 
-    fn claim_place(&self, place: BlobPlace) -> StoreFuture<'_, String> {
-        Box::pin(self.write(async move |tx, _| {
+    /// Decides where the database's blobs are, once and for all, and returns its identity.
+    ///
+    /// # Errors
+    /// [`StoreError::BlobsInFolder`] or [`StoreError::BlobsInBucket`] if that was decided otherwise.
+    pub fn claim_place(&self, place: BlobPlace) -> StoreFuture<'_, String> {
+        self.call("claim_place").run(self.write(async move |tx, _| {
             query("UPDATE blob_place SET place = ? WHERE place IS NULL")
                 .bind(place.as_str())
                 .execute(&mut *tx)
@@ -168,8 +180,10 @@ impl Publications for SqlStore {
         }))
     }
 
-    fn move_blobs(&self, place: BlobPlace) -> StoreFuture<'_, ()> {
-        Box::pin(self.write(async move |tx, _| {
+    /// Decides anew where a copy of a database has its blobs, which are to be published there, and gives the copy an identity of its own,
+    /// so that the bucket of the original refuses it.
+    pub fn move_blobs(&self, place: BlobPlace) -> StoreFuture<'_, ()> {
+        self.call("move_blobs").run(self.write(async move |tx, _| {
             query("UPDATE blob_place SET id = ?, place = ?")
                 .bind_all(values![Uuid::now_v7().simple().to_string(), place.as_str()])
                 .execute(&mut *tx)

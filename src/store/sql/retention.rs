@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use super::{
-    SqlStore,
+    Store,
     db::{Query, query, values},
     job_changes, locks,
     rows::{self, before, micros},
@@ -11,7 +11,7 @@ use super::{
 };
 use crate::{
     domain::JobId,
-    store::{PageKey, RemovedJobs, Retention, StoreFuture},
+    store::{PageKey, RemovedJobs, StoreFuture},
 };
 use jiff::Timestamp;
 
@@ -47,9 +47,11 @@ pub(super) const EXPIRED_MESSAGES: &str = "DELETE FROM webhook_deliveries WHERE 
          AND (created_at < ?1 OR NOT EXISTS (SELECT 1 FROM jobs WHERE jobs.id = webhook_deliveries.job))
      ORDER BY created_at LIMIT ?3)";
 
-impl Retention for SqlStore {
-    fn remove_ended_jobs(&self, keep: Duration, after: Option<PageKey>) -> StoreFuture<'_, RemovedJobs> {
-        Box::pin(async move {
+impl Store {
+    /// Removes some of the jobs that ended longer ago than `keep`, oldest first, of those created after `after`: each with its events,
+    /// attempts, series, artifacts and exports.
+    pub fn remove_ended_jobs(&self, keep: Duration, after: Option<PageKey>) -> StoreFuture<'_, RemovedJobs> {
+        self.call("remove_ended_jobs").run(async move {
             let end = before(self.now(&self.readers).await?, keep);
             let rows = ended_jobs(end, after).fetch_all(&self.readers).await?;
             let ids = rows.iter().map(rows::job_id).collect::<Result<Vec<JobId>, _>>()?;
@@ -75,8 +77,10 @@ impl Retention for SqlStore {
         })
     }
 
-    fn remove_expired_records(&self, keep: Option<Duration>) -> StoreFuture<'_, u64> {
-        Box::pin(self.write(async move |tx, now| {
+    /// Removes some of the rows of `Idempotency-Key`s and of messages that are over, and counts them: those past their own time, and
+    /// with `keep`, messages older than that whose job is gone.
+    pub fn remove_expired_records(&self, keep: Option<Duration>) -> StoreFuture<'_, u64> {
+        self.call("remove_expired_records").run(self.write(async move |tx, now| {
             let requests = query(EXPIRED_REQUESTS)
                 .bind_all(values![micros(before(now, self.policy.idempotency_ttl)), RECORDS])
                 .execute(&mut *tx)

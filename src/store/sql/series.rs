@@ -1,7 +1,7 @@
 //! Training curves.
 
 use super::{
-    SqlStore,
+    Store,
     db::{Transaction, query, values},
     job_exists,
     queue::leased_job,
@@ -9,12 +9,14 @@ use super::{
 };
 use crate::{
     domain::{JobId, Progress, SeriesPoint, series_bucket},
-    store::{Lease, Series, StoreError, StoreFuture},
+    store::{Lease, StoreError, StoreFuture},
 };
 
-impl Series for SqlStore {
-    fn record<'a>(&'a self, lease: &'a Lease, points: &'a [Progress]) -> StoreFuture<'a, ()> {
-        Box::pin(self.write(async move |tx, _| {
+impl Store {
+    /// Adds points of an attempt, in order. A point replaces every one at a later step, left by an earlier attempt, and the one in
+    /// its [bucket](crate::domain::series_bucket); a point without a loss, the first of an attempt, replaces none in its bucket.
+    pub fn record<'a>(&'a self, lease: &'a Lease, points: &'a [Progress]) -> StoreFuture<'a, ()> {
+        self.call("record").run(self.write(async move |tx, _| {
             leased_job(tx, lease).await?;
             let mut reached = u64::MAX;
             for point in points {
@@ -28,8 +30,9 @@ impl Series for SqlStore {
         }))
     }
 
-    fn series(&self, job: JobId) -> StoreFuture<'_, Option<Vec<SeriesPoint>>> {
-        Box::pin(self.read(async move |tx| {
+    /// The points of a job by their steps; `None` if there is no such job.
+    pub fn series(&self, job: JobId) -> StoreFuture<'_, Option<Vec<SeriesPoint>>> {
+        self.call("series").run(self.read(async move |tx| {
             if !job_exists(tx, job).await? {
                 return Ok(None);
             }

@@ -1,14 +1,14 @@
 //! Statistics.
 
 use super::{
-    SqlStore,
+    Store,
     db::{Pool, Row, Sql, query},
     open::newest,
     rows,
 };
 use crate::{
     domain::{JobState, problem::TYPE_PREFIX},
-    store::{AttemptCount, DeliveryState, Overview, StoreError, StoreFuture, StoreStats},
+    store::{AttemptCount, DeliveryState, StoreError, StoreFuture, StoreStats},
 };
 
 /// The phases of a job's `metrics.seconds`.
@@ -50,9 +50,10 @@ const SPEED: Sql = Sql {
 pub(super) const STATEMENTS: [Sql; 4] =
     [TOTALS, COUNTERS, Sql { sqlite: OLDEST_QUEUED, postgres: OLDEST_QUEUED }, SPEED];
 
-impl Overview for SqlStore {
-    fn stats(&self) -> StoreFuture<'_, StoreStats> {
-        Box::pin(self.read(async move |tx| {
+impl Store {
+    /// Current statistics.
+    pub fn stats(&self) -> StoreFuture<'_, StoreStats> {
+        self.call("stats").run(self.read(async move |tx| {
             let totals = query(TOTALS).all(&mut *tx, Total::read).await?;
             let total = |name: &str, label: &str| {
                 totals
@@ -84,12 +85,14 @@ impl Overview for SqlStore {
         }))
     }
 
-    fn schema_is_current(&self) -> StoreFuture<'_, bool> {
-        Box::pin(async move { is_current(&self.readers).await })
+    /// Whether the schema is the one that this program was built with; another program may have migrated it since.
+    pub fn schema_is_current(&self) -> StoreFuture<'_, bool> {
+        self.call("schema_is_current").run(async move { is_current(&self.readers).await })
     }
 
-    fn probe(&self) -> StoreFuture<'_, ()> {
-        Box::pin(self.write(async move |tx, now| {
+    /// Commits a small change, to check that the database can be written.
+    pub fn probe(&self) -> StoreFuture<'_, ()> {
+        self.call("probe").run(self.write(async move |tx, now| {
             query("INSERT INTO write_probe (id, at) VALUES (1, ?) ON CONFLICT (id) DO UPDATE SET at = excluded.at")
                 .bind(rows::micros(now))
                 .run(tx)
@@ -98,7 +101,7 @@ impl Overview for SqlStore {
     }
 }
 
-impl SqlStore {
+impl Store {
     /// Keeps the rows of changes few on PostgreSQL.
     pub(super) async fn fold_changes(&self) -> Result<(), StoreError> {
         if matches!(self.writer, Pool::Postgres(_)) {

@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use super::{
-    SqlStore, accounts,
+    Store, accounts,
     db::{Pool, query, values},
     rows::{self, micros},
 };
@@ -12,7 +12,7 @@ use crate::{
     store::{BlobRef, StoreError},
 };
 
-impl SqlStore {
+impl Store {
     /// Writes a copy of the database, as of one moment, into a new file. Others may read and write meanwhile.
     pub(in crate::store) async fn copy_into(&self, path: &Path) -> Result<(), StoreError> {
         let fault = || StoreError::Corrupt { what: "path of a copy", fault: path.display().to_string() };

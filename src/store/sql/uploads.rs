@@ -3,7 +3,7 @@
 use jiff::Timestamp;
 
 use super::{
-    MEMBERS, SqlStore, accounts,
+    MEMBERS, Store, accounts,
     db::{Row, Transaction, query, values},
     locks,
     rows::{instant, json, micros, optional_instant, optional_parsed, parsed, whole},
@@ -11,8 +11,8 @@ use super::{
 use crate::{
     domain::{ProjectId, UploadId},
     store::{
-        NewUpload, StoreError, StoreFuture, UploadRecord, Uploads,
-        uploads::{MAX_OPEN_UPLOADS, UploadParts, UploadWriter, WRITER_LIFE},
+        NewUpload, StoreError, StoreFuture, UploadRecord,
+        uploads::{MAX_OPEN_UPLOADS, UploadWriter, WRITER_LIFE},
     },
 };
 
@@ -79,9 +79,13 @@ async fn expire_some(tx: &mut Transaction, now: Timestamp) -> Result<Vec<UploadI
     ended.bind_all(values![micros(now), micros(now), json(&due)?]).all(tx, upload_id).await
 }
 
-impl Uploads for SqlStore {
-    fn create_upload(&self, new: NewUpload) -> StoreFuture<'_, UploadRecord> {
-        Box::pin(self.write(async move |tx, now| {
+impl Store {
+    /// Starts an upload and reserves its bytes.
+    ///
+    /// # Errors
+    /// [`StoreError::QuotaExceeded`], [`StoreError::TooManyUploads`].
+    pub fn create_upload(&self, new: NewUpload) -> StoreFuture<'_, UploadRecord> {
+        self.call("create_upload").run(self.write(async move |tx, now| {
             locks::project(tx, new.project).await?;
             expect_room(tx, new.project).await?;
             accounts::admit(tx, self.policy.limits.quota_bytes, new.project, new.length).await?;
@@ -97,12 +101,20 @@ impl Uploads for SqlStore {
         }))
     }
 
-    fn upload(&self, id: UploadId) -> StoreFuture<'_, Option<UploadRecord>> {
-        Box::pin(self.read(async move |tx| select(tx, id).await))
+    /// The upload.
+    pub fn upload(&self, id: UploadId) -> StoreFuture<'_, Option<UploadRecord>> {
+        self.call("upload").run(self.read(async move |tx| select(tx, id).await))
     }
 
-    fn advance_upload(&self, id: UploadId, received: u64, expires_at: Timestamp) -> StoreFuture<'_, bool> {
-        Box::pin(self.write(async move |tx, _| {
+    /// Records that `received` bytes are on disk, and extends the expiry; false if the upload has ended. The caller holds the lock of the
+    /// upload's file, so the count has one writer.
+    pub fn advance_upload(
+        &self,
+        id: UploadId,
+        received: u64,
+        expires_at: Timestamp,
+    ) -> StoreFuture<'_, bool> {
+        self.call("advance_upload").run(self.write(async move |tx, _| {
             let done =
                 query("UPDATE uploads SET received = ?, expires_at = ? WHERE id = ? AND ended_at IS NULL")
                     .bind_all(values![column("upload offset", received)?, micros(expires_at), id.to_string()])
@@ -112,8 +124,9 @@ impl Uploads for SqlStore {
         }))
     }
 
-    fn delete_upload(&self, id: UploadId) -> StoreFuture<'_, bool> {
-        Box::pin(self.write(async move |tx, _| {
+    /// Deletes an open upload and releases its bytes; false if there is none.
+    pub fn delete_upload(&self, id: UploadId) -> StoreFuture<'_, bool> {
+        self.call("delete_upload").run(self.write(async move |tx, _| {
             locks::projects(tx, "SELECT project FROM uploads WHERE id = ", id.to_string()).await?;
             let done = query("DELETE FROM uploads WHERE id = ? AND ended_at IS NULL")
                 .bind(id.to_string())
@@ -123,8 +136,9 @@ impl Uploads for SqlStore {
         }))
     }
 
-    fn outstanding_bytes(&self) -> StoreFuture<'_, u64> {
-        Box::pin(async move {
+    /// Bytes of open uploads that are still to be received.
+    pub fn outstanding_bytes(&self) -> StoreFuture<'_, u64> {
+        self.call("outstanding_bytes").run(async move {
             let row = query(
                 "SELECT CAST(COALESCE(SUM(length - received), 0) AS BIGINT) AS bytes FROM uploads WHERE ended_at IS NULL",
             )
@@ -134,8 +148,9 @@ impl Uploads for SqlStore {
         })
     }
 
-    fn expire_uploads(&self, forget: Timestamp) -> StoreFuture<'_, Vec<UploadId>> {
-        Box::pin(async move {
+    /// Ends the expired uploads and returns them. Deletes the rows of uploads that ended before `forget`.
+    pub fn expire_uploads(&self, forget: Timestamp) -> StoreFuture<'_, Vec<UploadId>> {
+        self.call("expire_uploads").run(async move {
             // This is called at intervals, by whoever collects garbage.
             self.fold_changes().await?;
             let mut expired = Vec::new();
@@ -159,8 +174,10 @@ impl Uploads for SqlStore {
         })
     }
 
-    fn open_uploads(&self) -> StoreFuture<'_, Vec<UploadId>> {
-        Box::pin(query("SELECT id FROM uploads WHERE ended_at IS NULL").all(&self.readers, upload_id))
+    /// Every open upload: their files must stay.
+    pub fn open_uploads(&self) -> StoreFuture<'_, Vec<UploadId>> {
+        self.call("open_uploads")
+            .run(query("SELECT id FROM uploads WHERE ended_at IS NULL").all(&self.readers, upload_id))
     }
 }
 
@@ -169,9 +186,10 @@ fn lock_end(now: Timestamp) -> i64 {
     micros(now.checked_add(WRITER_LIFE).unwrap_or(Timestamp::MAX))
 }
 
-impl UploadParts for SqlStore {
-    fn lock_upload(&self, id: UploadId) -> StoreFuture<'_, Option<UploadWriter>> {
-        Box::pin(self.write(async move |tx, now| {
+impl Store {
+    /// Locks an upload for a new writer; `None` if another has locked it, or there is none.
+    pub fn lock_upload(&self, id: UploadId) -> StoreFuture<'_, Option<UploadWriter>> {
+        self.call("lock_upload").run(self.write(async move |tx, now| {
             query(
                 "UPDATE uploads SET writer = writer + 1, writer_until = ?2
                  WHERE id = ?1 AND (writer_until IS NULL OR writer_until < ?3) RETURNING writer",
@@ -182,8 +200,9 @@ impl UploadParts for SqlStore {
         }))
     }
 
-    fn renew_upload_lock(&self, writer: UploadWriter) -> StoreFuture<'_, bool> {
-        Box::pin(self.write(async move |tx, now| {
+    /// Renews a writer's lock; false if it has lost it.
+    pub fn renew_upload_lock(&self, writer: UploadWriter) -> StoreFuture<'_, bool> {
+        self.call("renew_upload_lock").run(self.write(async move |tx, now| {
             let done = query(
                 "UPDATE uploads SET writer_until = ? WHERE id = ? AND writer = ? AND writer_until IS NOT NULL",
             )
@@ -194,8 +213,9 @@ impl UploadParts for SqlStore {
         }))
     }
 
-    fn unlock_upload(&self, writer: UploadWriter) -> StoreFuture<'_, ()> {
-        Box::pin(self.write(async move |tx, _| {
+    /// Releases a writer's lock, if it has it.
+    pub fn unlock_upload(&self, writer: UploadWriter) -> StoreFuture<'_, ()> {
+        self.call("unlock_upload").run(self.write(async move |tx, _| {
             query("UPDATE uploads SET writer_until = NULL WHERE id = ? AND writer = ?")
                 .bind_all(values![writer.id.to_string(), writer.number])
                 .run(tx)
@@ -203,7 +223,9 @@ impl UploadParts for SqlStore {
         }))
     }
 
-    fn add_upload_part<'a>(
+    /// Records a part from byte `start` to byte `received`, and extends the expiry; false if the upload has ended or the writer has lost
+    /// the lock.
+    pub fn add_upload_part<'a>(
         &'a self,
         writer: UploadWriter,
         start: u64,
@@ -211,7 +233,7 @@ impl UploadParts for SqlStore {
         received: u64,
         expires_at: Timestamp,
     ) -> StoreFuture<'a, bool> {
-        Box::pin(self.write(async move |tx, now| {
+        self.call("add_upload_part").run(self.write(async move |tx, now| {
             let done = query(
                 "UPDATE uploads SET received = ?1, expires_at = ?2, writer_until = ?3
                  WHERE id = ?4 AND writer = ?5 AND writer_until IS NOT NULL AND ended_at IS NULL",
@@ -233,12 +255,14 @@ impl UploadParts for SqlStore {
         }))
     }
 
-    fn is_upload(&self, id: UploadId) -> StoreFuture<'_, bool> {
-        Box::pin(self.read(async move |tx| Ok(select(tx, id).await?.is_some())))
+    /// Whether there is such an upload, open or ended.
+    pub fn is_upload(&self, id: UploadId) -> StoreFuture<'_, bool> {
+        self.call("is_upload").run(self.read(async move |tx| Ok(select(tx, id).await?.is_some())))
     }
 
-    fn upload_parts(&self, id: UploadId) -> StoreFuture<'_, Vec<(u64, String)>> {
+    /// The starts and names of an upload's parts, in order.
+    pub fn upload_parts(&self, id: UploadId) -> StoreFuture<'_, Vec<(u64, String)>> {
         let parts = query("SELECT start, name FROM upload_parts WHERE upload = ? ORDER BY start");
-        Box::pin(parts.bind(id.to_string()).all(&self.readers, part))
+        self.call("upload_parts").run(parts.bind(id.to_string()).all(&self.readers, part))
     }
 }

@@ -3,13 +3,13 @@
 use std::time::Duration;
 
 use super::{
-    SqlStore,
+    Store,
     db::{Row, query, values},
     rows::{before, micros},
 };
 use crate::{
     domain::ViewerToken,
-    store::{StoreError, StoreFuture, VIEWER_LIFE, ViewerRecord, Viewers},
+    store::{StoreError, StoreFuture, VIEWER_LIFE, ViewerRecord},
 };
 
 /// Age of a row that is of no use any more.
@@ -24,9 +24,10 @@ fn viewer(row: &Row) -> Result<ViewerRecord, StoreError> {
     })
 }
 
-impl Viewers for SqlStore {
-    fn announce_viewer<'a>(&'a self, viewer: &'a ViewerRecord) -> StoreFuture<'a, ()> {
-        Box::pin(self.write(async move |tx, now| {
+impl Store {
+    /// Records that a viewer is alive now, and forgets those that were not for an hour.
+    pub fn announce_viewer<'a>(&'a self, viewer: &'a ViewerRecord) -> StoreFuture<'a, ()> {
+        self.call("announce_viewer").run(self.write(async move |tx, now| {
             query(
                 "INSERT INTO viewers (url, version, identity, token, seen_at) VALUES (?, ?, ?, ?, ?)
                  ON CONFLICT (url) DO UPDATE SET version = excluded.version, identity = excluded.identity,
@@ -40,8 +41,9 @@ impl Viewers for SqlStore {
         }))
     }
 
-    fn live_viewers(&self) -> StoreFuture<'_, Vec<ViewerRecord>> {
-        Box::pin(self.read(async move |tx| {
+    /// The viewers that were announced within [`VIEWER_LIFE`], by their URLs.
+    pub fn live_viewers(&self) -> StoreFuture<'_, Vec<ViewerRecord>> {
+        self.call("live_viewers").run(self.read(async move |tx| {
             let now = self.now(&mut *tx).await?;
             query("SELECT url, version, identity, token FROM viewers WHERE seen_at >= ? ORDER BY url")
                 .bind(micros(before(now, VIEWER_LIFE)))
@@ -50,8 +52,9 @@ impl Viewers for SqlStore {
         }))
     }
 
-    fn withdraw_viewer<'a>(&'a self, viewer: &'a ViewerRecord) -> StoreFuture<'a, ()> {
-        Box::pin(self.write(async move |tx, _| {
+    /// Forgets a viewer that stops, unless another process has taken its URL over.
+    pub fn withdraw_viewer<'a>(&'a self, viewer: &'a ViewerRecord) -> StoreFuture<'a, ()> {
+        self.call("withdraw_viewer").run(self.write(async move |tx, _| {
             query("DELETE FROM viewers WHERE url = ? AND token = ?")
                 .bind_all(values![viewer.url.as_str(), viewer.token.expose()])
                 .run(tx)

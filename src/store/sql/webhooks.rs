@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use super::{
-    SqlStore,
+    Store,
     db::{Sql, Transaction, query, values},
     lists, locks,
     rows::{self, after, json as text, micros},
@@ -12,7 +12,7 @@ use crate::{
     domain::{DeliveryId, EndpointId, JobId, JobState, ProjectId, WebhookEvent},
     store::{
         AfterAttempt, DeliveryRecord, DeliveryResult, DueDelivery, EndpointRecord, NewEndpoint, Replay,
-        StoreError, StoreFuture, Webhooks,
+        StoreError, StoreFuture,
     },
 };
 use jiff::Timestamp;
@@ -76,7 +76,7 @@ pub(super) async fn enqueue_deliveries(
     Ok(())
 }
 
-impl SqlStore {
+impl Store {
     /// The endpoint whose turn it is. It is chosen without a lock, so that neither idle polling nor a long backlog delays writers.
     async fn next_endpoint(&self) -> Result<Option<String>, StoreError> {
         let now = micros(self.now(&self.readers).await?);
@@ -141,9 +141,10 @@ async fn disable(
     .await
 }
 
-impl Webhooks for SqlStore {
-    fn create_endpoint(&self, new: NewEndpoint, at_most: u32) -> StoreFuture<'_, Option<EndpointRecord>> {
-        Box::pin(self.write(async move |tx, now| {
+impl Store {
+    /// Adds an endpoint, unless its project has `at_most` already.
+    pub fn create_endpoint(&self, new: NewEndpoint, at_most: u32) -> StoreFuture<'_, Option<EndpointRecord>> {
+        self.call("create_endpoint").run(self.write(async move |tx, now| {
             locks::project(tx, new.project).await?;
             let project = new.project.to_string();
             let row = query("SELECT count(*) AS had FROM webhook_endpoints WHERE project = ?")
@@ -166,29 +167,34 @@ impl Webhooks for SqlStore {
         }))
     }
 
-    fn endpoint(&self, id: EndpointId) -> StoreFuture<'_, Option<EndpointRecord>> {
+    /// An endpoint.
+    pub fn endpoint(&self, id: EndpointId) -> StoreFuture<'_, Option<EndpointRecord>> {
         let found = query("SELECT * FROM webhook_endpoints WHERE id = ?").bind(id.to_string());
-        Box::pin(found.optional(&self.readers, rows::endpoint))
+        self.call("endpoint").run(found.optional(&self.readers, rows::endpoint))
     }
 
-    fn endpoints(
+    /// Up to `limit` endpoints of one project or of all, newest first, older than `before`.
+    pub fn endpoints(
         &self,
         project: Option<ProjectId>,
         before: Option<EndpointId>,
         limit: u32,
     ) -> StoreFuture<'_, Vec<EndpointRecord>> {
-        Box::pin(lists::endpoints(project, before, limit).all(&self.readers, rows::endpoint))
+        self.call("endpoints")
+            .run(lists::endpoints(project, before, limit).all(&self.readers, rows::endpoint))
     }
 
-    fn delete_endpoint(&self, id: EndpointId) -> StoreFuture<'_, bool> {
-        Box::pin(self.write(async move |tx, _| {
+    /// Deletes an endpoint with its deliveries; false if there is none.
+    pub fn delete_endpoint(&self, id: EndpointId) -> StoreFuture<'_, bool> {
+        self.call("delete_endpoint").run(self.write(async move |tx, _| {
             let deleted =
                 query("DELETE FROM webhook_endpoints WHERE id = ?").bind(id.to_string()).execute(tx).await?;
             Ok(deleted > 0)
         }))
     }
 
-    fn deliveries(
+    /// Up to `limit` deliveries to an endpoint, newest first, with numbers below `before`.
+    pub fn deliveries(
         &self,
         endpoint: EndpointId,
         before: Option<u64>,
@@ -198,11 +204,12 @@ impl Webhooks for SqlStore {
             "SELECT * FROM webhook_deliveries WHERE endpoint = ? AND seq < ? ORDER BY seq DESC LIMIT ?",
         )
         .bind_all(values![endpoint.to_string(), before.map_or(i64::MAX, rows::signed), limit]);
-        Box::pin(list.all(&self.readers, rows::delivery))
+        self.call("deliveries").run(list.all(&self.readers, rows::delivery))
     }
 
-    fn replay(&self, endpoint: EndpointId, id: DeliveryId) -> StoreFuture<'_, Option<Replay>> {
-        Box::pin(self.write(async move |tx, now| {
+    /// Makes a delivery due now and restarts its retry schedule; `None` if the endpoint has no such delivery.
+    pub fn replay(&self, endpoint: EndpointId, id: DeliveryId) -> StoreFuture<'_, Option<Replay>> {
+        self.call("replay").run(self.write(async move |tx, now| {
             let row = query(
                 "SELECT d.lease_until, e.disabled_at
                  FROM webhook_deliveries d JOIN webhook_endpoints e ON e.id = d.endpoint
@@ -230,8 +237,10 @@ impl Webhooks for SqlStore {
         }))
     }
 
-    fn take_delivery(&self, lease: Duration) -> StoreFuture<'_, Option<DueDelivery>> {
-        Box::pin(async move {
+    /// Leases a due delivery for the time `lease`; at most one of an endpoint at a time. Projects take turns: the one with the fewest deliveries
+    /// under way is next, and of its deliveries the one that has been due for longest.
+    pub fn take_delivery(&self, lease: Duration) -> StoreFuture<'_, Option<DueDelivery>> {
+        self.call("take_delivery").run(async move {
             for _ in 0..MAX_CHOICES {
                 let Some(endpoint) = self.next_endpoint().await? else { return Ok(None) };
                 let taken = self.take_delivery_of(endpoint, lease).await?;
@@ -243,8 +252,14 @@ impl Webhooks for SqlStore {
         })
     }
 
-    fn finish_delivery(&self, id: DeliveryId, attempt: u32, result: DeliveryResult) -> StoreFuture<'_, ()> {
-        Box::pin(self.write(async move |tx, now| {
+    /// Records the result of an attempt. Changes nothing if a newer attempt has started or the endpoint was deleted.
+    pub fn finish_delivery(
+        &self,
+        id: DeliveryId,
+        attempt: u32,
+        result: DeliveryResult,
+    ) -> StoreFuture<'_, ()> {
+        self.call("finish_delivery").run(self.write(async move |tx, now| {
             let (state, due_at) = match result.next {
                 AfterAttempt::Done => ("delivered", None),
                 AfterAttempt::RetryAfter(delay) => ("pending", Some(after(now, delay))),

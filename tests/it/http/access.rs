@@ -517,7 +517,7 @@ pub(super) async fn what_is_anothers_is_not_there(coverage: Coverage) {
 pub(super) async fn a_database_that_fails_lets_nobody_in(coverage: Coverage) {
     let server = Server::start_with(&coverage, Setup { worker: false, ..Setup::default() }).await;
     for (failing, status, kind) in [(Failing::Busy, 503, "busy"), (Failing::Gone, 500, "internal")] {
-        server.store.set(Some(failing));
+        server.faults.set(Some(failing));
         for operation in contract::guarded() {
             let answer = server.send(operation.method, &operation.path(), |request| request).await;
             assert_eq!(answer.status, status, "{}", operation.id);
@@ -525,18 +525,18 @@ pub(super) async fn a_database_that_fails_lets_nobody_in(coverage: Coverage) {
                 answer.expect_problem(status, kind);
             }
         }
-        server.store.set(None);
+        server.faults.set(None);
     }
-    server.store.set(Some(Failing::Full));
+    server.faults.set(Some(Failing::Full));
     for operation in
         contract::guarded().iter().filter(|one| matches!(one.method, "POST" | "PATCH" | "DELETE"))
     {
         let answer = server.send(operation.method, &operation.path(), |request| request).await;
         answer.expect_problem(507, "storage-full");
     }
-    server.store.set(None);
+    server.faults.set(None);
     let key = server.key(&[Scope::Read]).await;
-    server.store.set(Some(Failing::Busy));
+    server.faults.set(Some(Failing::Busy));
     with_key(&server, "GET", "/v1/jobs", &key.key).await.expect_problem(503, "busy");
 }
 

@@ -294,9 +294,9 @@ async fn only_with_keys_does_a_probe_find_the_service_under_any_name() {
         asked(&server, path, "").await.expect_problem(421, "foreign-host", path);
     }
     // While nobody can say whether there are keys, there count as none.
-    server.store.set(Some(Failing::Gone));
+    server.faults.set(Some(Failing::Gone));
     asked(&server, "/v1/jobs", "").await.expect_problem(421, "foreign-host", "no answer of the database");
-    server.store.set(None);
+    server.faults.set(None);
 
     let key = server.key(&[Scope::Read]).await;
     // The first server knows of them by a request, the second from its start.
@@ -307,10 +307,10 @@ async fn only_with_keys_does_a_probe_find_the_service_under_any_name() {
             asked(server, path, "").await.expect(200, path);
         }
         let bearer = format!("Authorization: Bearer {}\r\n", key.key);
-        server.store.set(Some(Failing::Busy));
+        server.faults.set(Some(Failing::Busy));
         asked(server, "/v1/jobs", &bearer).await.expect_problem(503, "busy", "keys are not forgotten");
         asked(server, "/healthz", "").await.expect(200, "an open operation needs no database");
-        server.store.set(None);
+        server.faults.set(None);
     }
 }
 

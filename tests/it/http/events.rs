@@ -6,7 +6,7 @@ use serde_json::{Value, json};
 use tcgs::{
     domain::{Phase, Problem, ProblemType, Progress, Scope, SystemClock},
     http::{self, HttpConfig, Services, config::RequestLimits},
-    store::{Outcome, SqlStore, Store},
+    store::{Outcome, Store},
 };
 use tokio_util::sync::CancellationToken;
 
@@ -173,11 +173,11 @@ async fn a_stream_that_waits_outlives_a_failing_database() {
     let job = server.create("succeed").await;
     let mut stream = server.stream(&format!("{job}/events"), None).await;
     assert_eq!(stream.next().await.map(|frame| frame.number()), Some(1));
-    server.store.set(Some(crate::support::faults::Failing::Gone));
+    server.faults.set(Some(crate::support::faults::Failing::Gone));
     let mut other = server.stream(&format!("{job}/events"), None).await;
     assert_eq!(other.response().status(), 500);
     assert_eq!(other.next().await, None);
-    server.store.set(None);
+    server.faults.set(None);
     server.post(&format!("{job}/cancel")).await.expect(200);
     assert_eq!(stream.next().await.map(|frame| frame.number()), Some(2), "a wait outlives a failure");
 }
@@ -201,8 +201,8 @@ async fn a_client_that_follows_across_a_restart_misses_nothing_and_gets_nothing_
     let progress = |step| Progress { step, total: 10, ..Progress::default() };
     server.store.report(&lease, Phase::Train, &progress(5)).await.expect("stored");
 
-    let reopened = SqlStore::open(&server.database(), Arc::new(SystemClock), quick_policy()).await;
-    let store: Arc<dyn Store> = Arc::new(reopened.expect("the database"));
+    let reopened = Store::open(&server.database(), Arc::new(SystemClock), quick_policy()).await;
+    let store = Arc::new(reopened.expect("the database"));
     let services = Services { store: Arc::clone(&store), ..server.services.clone() };
     let config = HttpConfig { listen: server.address, ..HttpConfig::default() };
     let listener = http::bind(&config, false).await.expect("the same port");
@@ -284,9 +284,9 @@ async fn a_database_that_cannot_say_whether_a_key_is_valid_ends_no_stream() {
         .open("GET", &events, |request| request.bearer_auth(&key.key).header("accept", "text/event-stream"));
     let mut stream = Reader::new(open.await);
     assert_eq!(stream.next().await.map(|frame| frame.number()), Some(1));
-    server.store.set(Some(crate::support::faults::Failing::Gone));
+    server.faults.set(Some(crate::support::faults::Failing::Gone));
     tokio::time::sleep(Duration::from_millis(100)).await;
-    server.store.set(None);
+    server.faults.set(None);
     with_key(&server, "POST", &format!("{job}/cancel"), &key.key).await.expect(200);
     assert_eq!(stream.next().await.map(|frame| frame.event).as_deref(), Some("state"), "and not closed");
 }

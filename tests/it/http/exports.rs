@@ -3,10 +3,7 @@
 use std::sync::atomic::Ordering;
 
 use serde_json::{Value, json};
-use tcgs::{
-    domain::{ProjectLimits, Scope},
-    store::Accounts as _,
-};
+use tcgs::domain::{ProjectLimits, Scope};
 use tokio::io::AsyncWriteExt as _;
 
 use super::access::with_key;
@@ -76,11 +73,11 @@ pub(super) async fn every_file_of_a_job_is_listed_and_served_by_its_hash(coverag
         server.get(&path).await.expect_problem(404, "artifact-not-found");
     }
     for (failing, status) in [(Failing::Busy, 503), (Failing::Gone, 500)] {
-        server.store.set(Some(failing));
+        server.faults.set(Some(failing));
         for path in [path.to_owned(), format!("{job}/artifacts"), format!("{job}/export?format=ply")] {
             server.get(&path).await.expect(status);
         }
-        server.store.set(None);
+        server.faults.set(None);
     }
     server.get("/v1/jobs/17/artifacts").await.expect_problem(404, "job-not-found");
     server.send("DELETE", &job, |request| request).await.expect(204);
@@ -273,10 +270,10 @@ pub(super) async fn one_project_leaves_places_for_the_exports_of_others(coverage
 async fn an_export_stays_while_nobody_knows_whether_it_is_recorded() {
     let server = Server::start(&Coverage::default()).await;
     let path = format!("{}/export?format=ply", server.succeeded().await);
-    server.store.set(Some(Failing::Late));
+    server.faults.set(Some(Failing::Late));
     server.get(&path).await.expect_problem(503, "busy");
-    server.store.set(None);
-    server.store.catch_up().await;
+    server.faults.set(None);
+    server.faults.catch_up().await;
     server.get(&path).await.expect(200);
     assert_eq!(server.exporter.made.load(Ordering::SeqCst), 1);
 }
@@ -302,10 +299,7 @@ fn answers_length() -> usize {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_file_is_its_project_s_alone() {
-    use tcgs::{
-        domain::{Digest, ProjectId},
-        store::Exports as _,
-    };
+    use tcgs::domain::{Digest, ProjectId};
     let server = Server::start(&Coverage::default()).await;
     let job = server.succeeded().await;
     let digest: Digest =

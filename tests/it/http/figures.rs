@@ -6,7 +6,7 @@ use jiff::SignedDuration;
 use tcgs::{
     domain::{JobMetrics, ManualClock, PhaseSeconds},
     http::config::RequestLimits,
-    store::{Outcome, Store as _},
+    store::Outcome,
 };
 
 use crate::support::{

@@ -6,7 +6,7 @@ use jiff::SignedDuration;
 use serde_json::{Value, json};
 use tcgs::{
     domain::{DatasetId, DatasetSummary, Layout, ManualClock, Problem, ProblemType, ProjectId},
-    store::{Datasets as _, NewDataset, Outcome, Store as _},
+    store::{NewDataset, Outcome},
 };
 use uuid::Uuid;
 
@@ -291,10 +291,10 @@ pub(super) async fn a_failed_or_cancelled_job_is_retried_as_a_new_one(coverage: 
     typed("{\"from".into()).await.expect_problem(400, "malformed-json");
     typed(" ".repeat(2 << 20)).await.expect_problem(413, "body-too-large");
     for (failing, status) in [(Failing::Busy, 503), (Failing::Gone, 500)] {
-        server.store.set(Some(failing));
+        server.faults.set(Some(failing));
         server.post(&retry).await.expect(status);
         server.send("DELETE", &path, |request| request).await.expect(status);
-        server.store.set(None);
+        server.faults.set(None);
     }
 }
 

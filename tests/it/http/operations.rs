@@ -6,11 +6,12 @@ use jiff::SignedDuration;
 use serde_json::{Value, json};
 use tcgs::{
     domain::{JobMetrics, ManualClock, Phase, PhaseSeconds, SceneFormat},
-    store::{AfterAttempt, Artifact, ArtifactKind, DeliveryResult, Outcome, Webhooks as _},
+    store::{AfterAttempt, Artifact, ArtifactKind, DeliveryResult, Outcome},
 };
 
 use crate::support::{
     contract::Coverage,
+    database::Database,
     fakes,
     faults::Failing,
     server::{Server, Setup},
@@ -118,7 +119,7 @@ pub(super) async fn metrics_tell_of_requests_jobs_and_the_machine(coverage: Cove
     assert_eq!(series(&text, "tcgs_blobs"), 4.0);
     assert_eq!(series(&text, "tcgs_blob_bytes"), 21.0 + fakes::FILE.len() as f64);
     for (failing, status) in [(Failing::Busy, 503), (Failing::Gone, 500)] {
-        server.store.set(Some(failing));
+        server.faults.set(Some(failing));
         while server.get("/metrics").await.status == 200 {
             tokio::time::sleep(Duration::from_millis(50)).await;
         }
@@ -213,20 +214,28 @@ pub(super) async fn readiness_names_what_is_wrong(coverage: Coverage) {
         "blobs": "ok", "database": "ok", "draining": "ok", "free_space": "ok", "migrations": "ok",
     });
     assert_eq!(server.get("/readyz").await.expect(200).json()["checks"], ok);
-    for (failing, checks) in [
-        (Failing::Gone, &["database", "migrations"][..]),
-        (Failing::Busy, &["database", "migrations"]),
-        (Failing::Migrated, &["migrations"]),
-    ] {
-        server.store.set(Some(failing));
+    for (failing, checks) in
+        [(Failing::Gone, &["database", "migrations"][..]), (Failing::Busy, &["database", "migrations"])]
+    {
+        server.faults.set(Some(failing));
         let problem = until_wrong(&server).await;
         assert_eq!(wrong(&problem), checks, "{problem:#}");
-        server.store.set(None);
+        server.faults.set(None);
         server.until_ready().await;
     }
-    let before = server.store.pings();
+    let database = Database::DataFolder(server.data.path().to_owned());
+    let newest = "version = (SELECT max(version) FROM _sqlx_migrations)";
+    database.run(&format!("UPDATE _sqlx_migrations SET version = version + 1 WHERE {newest}")).await;
+    let problem = until_wrong(&server).await;
+    assert_eq!(wrong(&problem), ["migrations"], "{problem:#}");
+    database.run(&format!("UPDATE _sqlx_migrations SET version = version - 1 WHERE {newest}")).await;
+    server.until_ready().await;
+    let before = server.faults.calls("ping");
     futures_util::future::join_all((0..50).map(|_| server.get("/readyz"))).await;
-    assert!(server.store.pings() - before < 50, "requests at a time wait for one answer of the database");
+    assert!(
+        server.faults.calls("ping") - before < 50,
+        "requests at a time wait for one answer of the database"
+    );
     // A staging folder that is gone is one that cannot be written, also for root.
     let [staging, gone] = ["staging", "gone"].map(|name| server.data.path().join(name));
     std::fs::rename(&staging, &gone).expect("moved");
@@ -270,7 +279,7 @@ async fn a_disk_with_less_room_than_the_floor_makes_the_service_unready() {
 #[tokio::test]
 async fn a_database_that_can_be_read_and_not_written_makes_the_service_unready() {
     let server = Server::start(&Coverage::default()).await;
-    server.store.set(Some(Failing::FullForProbes));
+    server.faults.set(Some(Failing::FullForProbes));
     let problem = server.get("/readyz").await.expect(503).json();
     assert_eq!(wrong(&problem), ["database"], "{problem:#}");
     assert_eq!(problem["checks"]["database"], "no room is left on its disk");

@@ -6,7 +6,7 @@ use jiff::SignedDuration;
 use serde_json::{Value, json};
 use tcgs::{
     domain::{Clock as _, ManualClock, ProjectId, Scope},
-    store::{Outcome, Store as _},
+    store::Outcome,
 };
 
 use crate::support::{
@@ -413,11 +413,13 @@ pub(super) async fn jobs_have_names_labels_attempts_and_places_in_the_queue(cove
 #[tokio::test]
 async fn the_expiry_of_a_key_is_judged_by_the_clock_of_the_database() {
     let clock = Arc::new(ManualClock::new("2026-11-21T12:00:00Z".parse().expect("an instant")));
-    let server = Server::start_with(&Coverage::default(), Setup { clock: clock.clone(), ..idle() }).await;
+    let database_clock = Arc::new(ManualClock::new(clock.now()));
+    let clocks = Setup { clock: clock.clone(), database_clock: Some(database_clock.clone()), ..idle() };
+    let server = Server::start_with(&Coverage::default(), clocks).await;
     let admin = server.key(&[Scope::Admin]).await;
     let at = |minutes: i64| (clock.now() + SignedDuration::from_mins(minutes)).to_string();
     for (ahead, past, future) in [(10, 5, 15), (-10, -15, -5)] {
-        server.store.set_ahead(SignedDuration::from_mins(ahead));
+        database_clock.set_by(SignedDuration::from_mins(ahead));
         let body = |minutes| json!({ "name": "short", "scopes": ["read"], "expires_at": at(minutes) });
         let refused = with(&server, &admin, "POST", "/v1/keys", Some(body(past))).await;
         refused.expect_problem(422, "invalid-key-request");
@@ -426,6 +428,7 @@ async fn the_expiry_of_a_key_is_judged_by_the_clock_of_the_database() {
         let change = json!({ "expires_at": at(past) });
         let refused = with(&server, &admin, "PATCH", &path, Some(change)).await;
         refused.expect_problem(422, "invalid-key-request");
+        database_clock.set_by(SignedDuration::from_mins(-ahead));
     }
 }
 

@@ -6,7 +6,7 @@ use base64::{Engine as _, engine::general_purpose::STANDARD};
 use html5gum::{Token, Tokenizer};
 use tcgs::{
     domain::{Digest, Phase, Problem, ProblemType, Progress},
-    store::{Outcome, Series as _, Store as _},
+    store::Outcome,
 };
 
 use crate::support::{

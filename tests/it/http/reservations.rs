@@ -125,11 +125,11 @@ async fn the_largest_dataset_is_looked_for_only_beyond_the_quota() {
     let key = server.key_with(&Scope::ALL[..3], limits).await;
     // Longer than a reservation grows at a time.
     post(&server, "/v1/jobs", &key, Framing::Chunked, dataset(1, 20 << 20)).await.expect(201);
-    assert_eq!(server.store.largest_reads(), 0);
+    assert_eq!(server.faults.calls("largest_dataset"), 0);
     for (number, framing) in [Framing::Length, Framing::Chunked].into_iter().enumerate() {
         let refused = post(&server, "/v1/jobs", &key, framing, dataset(2, 6 << 20)).await;
         refused.expect_problem(507, "quota-exceeded");
-        assert_eq!(server.store.largest_reads(), number as u32 + 1, "once for each request");
+        assert_eq!(server.faults.calls("largest_dataset"), number as u32 + 1, "once for each request");
     }
 }
 
@@ -162,11 +162,11 @@ async fn what_is_refused_late_leaves_nothing() {
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_dataset_stays_while_nobody_knows_whether_something_refers_to_it() {
     let server = Server::start(&Coverage::default()).await;
-    server.store.set(Some(Failing::Late));
+    server.faults.set(Some(Failing::Late));
     server.upload("", "succeed late").await.expect_problem(503, "busy");
     super::scenes::keep(&server, "", "succeed late too").await.expect_problem(503, "busy");
-    server.store.set(None);
-    server.store.catch_up().await;
+    server.faults.set(None);
+    server.faults.catch_up().await;
     let jobs = server.get("/v1/jobs").await.expect(200).json();
     server.reaches(jobs["jobs"][0]["links"]["self"].as_str().expect("a path"), "succeeded").await;
     let scenes = server.get("/v1/scenes").await.expect(200).json();

@@ -191,10 +191,10 @@ impl Seen {
         }
         self.ask("GET", &format!("/v1/jobs?key={known}")).await;
         for failing in [Failing::Busy, Failing::Gone] {
-            self.server.store.set(Some(failing));
+            self.server.faults.set(Some(failing));
             self.ask("GET", "/v1/jobs").await;
         }
-        self.server.store.set(None);
+        self.server.faults.set(None);
     }
 }
 

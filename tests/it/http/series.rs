@@ -3,7 +3,7 @@
 use serde_json::{Value, json};
 use tcgs::{
     domain::{Phase, Problem, ProblemType, Progress},
-    store::{Lease, Outcome, Series as _, Store as _, StoreError},
+    store::{Lease, Outcome, StoreError},
 };
 
 use crate::support::{

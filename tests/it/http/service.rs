@@ -81,7 +81,7 @@ pub(super) async fn a_database_that_fails_is_a_problem_not_a_crash(coverage: Cov
     let endpoints = "/v1/webhook-endpoints";
     let endpoint = format!("{endpoints}/0190a5d8-0000-7000-8000-000000000000");
     for (failing, status, kind) in [(Failing::Busy, 503, "busy"), (Failing::Gone, 500, "internal")] {
-        server.store.set(Some(failing));
+        server.faults.set(Some(failing));
         let answers: Vec<Answer> = vec![
             server.upload("", "succeed").await,
             server.get("/v1/jobs").await,
@@ -116,7 +116,7 @@ pub(super) async fn a_database_that_fails_is_a_problem_not_a_crash(coverage: Cov
         eventually("it is not ready", async || server.get("/readyz").await.status == 503).await;
         server.get("/readyz").await.expect_problem(503, "not-ready");
         server.get("/healthz").await.expect(200);
-        server.store.set(None);
+        server.faults.set(None);
         server.until_ready().await;
     }
 }

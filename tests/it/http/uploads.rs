@@ -12,7 +12,7 @@ use sha2::{Digest as _, Sha256};
 use tcgs::{
     domain::{Digest, ManualClock, ProjectId, ProjectLimits, Scope, UploadId},
     http::config::RequestLimits,
-    store::{NewUpload, Uploads as _, uploads::MAX_OPEN_UPLOADS},
+    store::{NewUpload, uploads::MAX_OPEN_UPLOADS},
 };
 use tokio::{
     io::{AsyncReadExt as _, AsyncWriteExt as _},
@@ -248,9 +248,9 @@ async fn an_upload_stays_until_its_scene_is_recorded() {
     let server = Server::start_with(&Coverage::default(), idle()).await;
     let upload = begin(&server, 9).await;
     part(&server, &upload, 0, b"succeed 9").await.expect(204);
-    server.store.set(Some(Failing::Late));
+    server.faults.set(Some(Failing::Late));
     make_scene(&server, &upload).await.expect_problem(503, "busy");
-    server.store.set(None);
+    server.faults.set(None);
     make_scene(&server, &upload).await.expect(201);
 }
 

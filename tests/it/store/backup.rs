@@ -16,8 +16,8 @@ use jiff::{SignedDuration, Timestamp};
 use tcgs::{
     domain::{Clock, JobId, SystemClock, TrainOptions},
     store::{
-        Accounts as _, BackupError, BackupNote, BlobRef, BlobSource, Blobs, CopyMode, DATABASE, NewJob,
-        QueuePolicy, SqlStore, Store as _, back_up, restore,
+        BackupError, BackupNote, BlobRef, BlobSource, Blobs, CopyMode, DATABASE, NewJob, QueuePolicy, Store,
+        back_up, restore,
     },
 };
 use tempfile::TempDir;
@@ -27,7 +27,7 @@ use uuid::Uuid;
 /// A data folder.
 #[derive(Clone)]
 struct DataFolder {
-    store: Arc<SqlStore>,
+    store: Arc<Store>,
     blobs: Blobs,
 }
 
@@ -56,7 +56,7 @@ fn in_between<T>(work: impl Future<Output = T>) -> T {
 impl DataFolder {
     async fn open(data: &Path) -> Self {
         fs::create_dir_all(data).expect("made");
-        let store = SqlStore::open(&data.join(DATABASE), Arc::new(SystemClock), QueuePolicy::default()).await;
+        let store = Store::open(&data.join(DATABASE), Arc::new(SystemClock), QueuePolicy::default()).await;
         Self { store: Arc::new(store.expect("a database")), blobs: Blobs::open(data).expect("a store") }
     }
 

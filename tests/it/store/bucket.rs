@@ -10,12 +10,11 @@ use tcgs::{
     domain::{Clock as _, Digest, JobId, ManualClock, ProjectId, SystemClock, TrainOptions, UploadId},
     store::{
         BackupError, BackupNote, BlobError, BlobPlace, BlobRef, BlobSource, BlobState, Blobs, BucketClaim,
-        CheckDepth, CopyMode, DATABASE, NewJob, NewUpload, QueuePolicy, SqlStore, Store as _, StoreError,
-        Uploads as _, back_up,
+        CheckDepth, CopyMode, DATABASE, NewJob, NewUpload, QueuePolicy, Store, StoreError, back_up,
         garbage::{GarbageError, GarbagePolicy, collect},
-        publications::{Publications as _, REMOVER_IS_DEAD, Removable},
+        publications::{REMOVER_IS_DEAD, Removable},
         restore,
-        uploads::{UploadParts as _, WRITER_LIFE},
+        uploads::WRITER_LIFE,
     },
 };
 use tempfile::TempDir;
@@ -30,7 +29,7 @@ use crate::support::{
 
 struct Fixture {
     objects: Arc<dyn ObjectStore>,
-    store: Arc<SqlStore>,
+    store: Arc<Store>,
     blobs: Blobs,
     clock: Arc<ManualClock>,
     folder: TempDir,
@@ -80,8 +79,8 @@ impl Fixture {
     }
 
     /// A restored database whose blobs are in a bucket, as a service opens it.
-    async fn open_restored(&self, data: &Path, bucket: &Arc<dyn ObjectStore>) -> (Arc<SqlStore>, Blobs) {
-        let store = SqlStore::open(&data.join(DATABASE), self.clock.clone(), QueuePolicy::default()).await;
+    async fn open_restored(&self, data: &Path, bucket: &Arc<dyn ObjectStore>) -> (Arc<Store>, Blobs) {
+        let store = Store::open(&data.join(DATABASE), self.clock.clone(), QueuePolicy::default()).await;
         let store = Arc::new(store.expect("a database"));
         let blobs = Blobs::open_bucket(data, bucket.clone(), store.clone()).await.expect("its bucket");
         (store, blobs)
@@ -421,9 +420,9 @@ async fn an_upload_in_a_bucket_goes_on_at_another_replica() {
     assert!(!other.remove_upload(id).await.expect("asked"), "it is held");
     file.continue_at(0).await.expect("at its beginning");
     file.write(&content[..100]).await.expect("written");
-    assert!(file.save(&*fixture.store, 100, later).await.expect("saved"));
+    assert!(file.save(&fixture.store, 100, later).await.expect("saved"));
     file.write(&content[100..half]).await.expect("written");
-    assert!(file.save(&*fixture.store, half as u64, later).await.expect("saved"));
+    assert!(file.save(&fixture.store, half as u64, later).await.expect("saved"));
     file.write(b"never saved").await.expect("written");
     drop(file);
 
@@ -432,7 +431,7 @@ async fn an_upload_in_a_bucket_goes_on_at_another_replica() {
     assert_eq!((record.received, record.expires_at), (half as u64, later));
     file.continue_at(record.received).await.expect("where the other ended");
     file.write(&content[half..]).await.expect("written");
-    assert!(file.save(&*fixture.store, length, later).await.expect("saved"));
+    assert!(file.save(&fixture.store, length, later).await.expect("saved"));
     drop(file);
     assert_eq!(fixture.blobs.uploads().await.expect("a list"), [id]);
 
@@ -462,7 +461,7 @@ async fn what_a_failed_write_left_is_no_part_of_an_upload() {
         file.continue_at(start).await.expect("at its place");
         file.write(piece).await.expect("written");
         file.write(b"some of a piece").await.expect("written, but not counted");
-        assert!(file.save(&*fixture.store, end, later).await.expect("saved"));
+        assert!(file.save(&fixture.store, end, later).await.expect("saved"));
     }
     let staged = reopen().await.finish(11).await.expect("no byte more, and none less");
     assert_eq!(staged.blob().digest, Digest::of(b"first later"));
@@ -476,7 +475,7 @@ async fn a_save_without_new_bytes_adds_no_part() {
     let mut file = fixture.blobs.open_upload(id).await.expect("asked").expect("free");
     for (piece, end) in [(b"".as_slice(), 0), (b"first", 5), (b"", 5), (b"", 5), (b" later", 11), (b"", 11)] {
         file.write(piece).await.expect("written");
-        assert!(file.save(&*fixture.store, end, later).await.expect("saved"));
+        assert!(file.save(&fixture.store, end, later).await.expect("saved"));
     }
     let parts = fixture.objects.list(Some(&ObjectPath::from("uploads")));
     assert_eq!(parts.try_collect::<Vec<_>>().await.expect("a list").len(), 2);
@@ -493,7 +492,7 @@ async fn an_upload_that_has_ended_takes_no_more_bytes() {
     fixture.clock.advance(SignedDuration::from_hours(1));
     assert_eq!(fixture.store.expire_uploads(fixture.clock.now()).await.expect("swept"), [id]);
     let later = fixture.clock.now() + SignedDuration::from_hours(1);
-    assert!(!file.save(&*fixture.store, 4, later).await.expect("asked"));
+    assert!(!file.save(&fixture.store, 4, later).await.expect("asked"));
     assert_eq!(fixture.store.upload_parts(id).await.expect("read"), []);
 }
 
@@ -542,12 +541,12 @@ async fn a_writer_that_was_away_too_long_saves_nothing_more() {
     let mut next = fixture.blobs.open_upload(id).await.expect("asked").expect("its lock has ended");
     next.continue_at(0).await.expect("at its beginning");
     next.write(b"kept").await.expect("written");
-    assert!(!away.save(&*fixture.store, 4, later).await.expect("asked"), "another writes now");
-    assert!(next.save(&*fixture.store, 4, later).await.expect("asked"));
+    assert!(!away.save(&fixture.store, 4, later).await.expect("asked"), "another writes now");
+    assert!(next.save(&fixture.store, 4, later).await.expect("asked"));
     next.write(b"more").await.expect("written");
     drop(away);
     tokio::time::sleep(Duration::from_millis(100)).await;
-    assert!(next.save(&*fixture.store, 8, later).await.expect("asked"), "its lock is not the other's");
+    assert!(next.save(&fixture.store, 8, later).await.expect("asked"), "its lock is not the other's");
     let staged = next.finish(8).await.expect("whole");
     assert_eq!(staged.blob().digest, Digest::of(b"keptmore"));
 }
@@ -603,7 +602,7 @@ async fn blobs_survive_answers_in_another_order_beside_garbage_collection() {
         let (store, blobs, stop) = (store.clone(), blobs.clone(), stop.clone());
         async move {
             while !stop.is_cancelled() {
-                collect(&*store, &blobs, &policy, SystemClock.now()).await.expect("collected");
+                collect(&store, &blobs, &policy, SystemClock.now()).await.expect("collected");
             }
         }
     });
@@ -651,7 +650,7 @@ async fn a_backup_moves_blobs_out_of_a_bucket_and_into_another() {
         let (store, blobs) = match bucket {
             Some(bucket) => fixture.open_restored(data, &bucket).await,
             None => {
-                let store = SqlStore::open(&data.join(DATABASE), clock.clone(), QueuePolicy::default()).await;
+                let store = Store::open(&data.join(DATABASE), clock.clone(), QueuePolicy::default()).await;
                 let store = Arc::new(store.expect("a database"));
                 store.claim_place(BlobPlace::Folder).await.expect("decided by the restoration");
                 (store, Blobs::open(data).expect("its folder"))
@@ -688,7 +687,7 @@ async fn what_a_bucket_already_has_is_checked_by_a_restoration_and_collected_lat
         store.delete_job(job, None).await.expect("deleted");
     }
     fixture.clock.advance(SignedDuration::from_hours(2));
-    let collected = collect(&*store, &blobs, &GarbagePolicy::default(), fixture.clock.now()).await;
+    let collected = collect(&store, &blobs, &GarbagePolicy::default(), fixture.clock.now()).await;
     assert_eq!(collected.expect("collected").blobs, 2);
     for gone in [sound, damaged] {
         assert!(objects.head(&gone).await.is_err(), "{gone}");
@@ -736,13 +735,13 @@ async fn a_restoration_takes_over_a_bucket_on_request_with_what_it_has() {
     let policy = GarbagePolicy::default();
     fixture.clock.advance(SignedDuration::from_hours(2));
     assert!(matches!(fixture.blobs.probe().await, Err(BlobError::OtherDatabase)));
-    let late = collect(&*fixture.store, &fixture.blobs, &policy, fixture.clock.now()).await;
+    let late = collect(&fixture.store, &fixture.blobs, &policy, fixture.clock.now()).await;
     assert!(matches!(late, Err(GarbageError::Blobs(BlobError::OtherDatabase))), "{late:?}");
 
     let (store, blobs) = fixture.open_restored(&data, &fixture.objects).await;
     assert!(store.job(job).await.expect("read").is_some());
     assert!(fixture.objects.head(&object(after_backup.digest)).await.is_ok());
-    let collected = collect(&*store, &blobs, &policy, fixture.clock.now()).await.expect("collected");
+    let collected = collect(&store, &blobs, &policy, fixture.clock.now()).await.expect("collected");
     assert_eq!(collected.blobs, 1);
     assert!(fixture.objects.head(&object(after_backup.digest)).await.is_err(), "the backup does not know it");
     assert_eq!(blobs.read(dataset.digest).await.expect("there"), b"a dataset".as_slice());

@@ -10,7 +10,7 @@ use object_store::{ObjectStore, path::Path as ObjectPath};
 use tcgs::{
     domain::{Clock as _, Digest, JobId, ManualClock, ProjectId, SystemClock, TrainOptions, UploadId},
     store::{
-        BlobError, BlobRef, Blobs, NewJob, NewUpload, QueuePolicy, SqlStore, Store as _, Uploads as _,
+        BlobError, BlobRef, Blobs, NewJob, NewUpload, QueuePolicy, Store,
         garbage::{GarbageError, GarbagePolicy, collect},
         publications::REMOVER_IS_DEAD,
     },
@@ -28,7 +28,7 @@ use crate::support::{
 const MAX_REQUESTS: u32 = 100;
 
 struct Fixture {
-    store: Arc<SqlStore>,
+    store: Arc<Store>,
     blobs: Blobs,
     faults: FaultStore,
     clock: Arc<ManualClock>,
@@ -115,7 +115,7 @@ impl Fixture {
     }
 
     async fn collect(&self) -> Result<(), GarbageError> {
-        collect(&*self.store, &self.blobs, &GarbagePolicy::default(), self.clock.now()).await.map(drop)
+        collect(&self.store, &self.blobs, &GarbagePolicy::default(), self.clock.now()).await.map(drop)
     }
 
     async fn create_job(&self, dataset: BlobRef) {
@@ -169,7 +169,7 @@ async fn resumable_uploads_survive_the_fault_of_any_request() {
             if at < end {
                 file.continue_at(received).await?;
                 file.write(&content[at..end]).await?;
-                assert!(file.save(&*fixture.store, end as u64, later).await?);
+                assert!(file.save(&fixture.store, end as u64, later).await?);
             }
         }
         let staged = fixture.blobs.open_upload(id).await?.expect("free").finish(length).await?;

@@ -19,7 +19,7 @@ use uuid::Uuid;
 use crate::support::{database::Database, fakes};
 
 struct Fixture {
-    store: Arc<dyn Store>,
+    store: Arc<Store>,
     clock: Arc<ManualClock>,
     _database: Database,
 }

@@ -25,7 +25,7 @@ const LONGEST: Duration = Duration::from_secs(120);
 const GRACE: SignedDuration = SignedDuration::from_hours(1);
 
 struct Fixture {
-    store: Arc<dyn Store>,
+    store: Arc<Store>,
     blobs: Blobs,
     /// Starts at the system time, which dates files.
     clock: Arc<ManualClock>,
@@ -99,7 +99,7 @@ impl Fixture {
 
     async fn collect_once(&self) -> Collected {
         let policy = GarbagePolicy { blob_grace: GRACE, ..GarbagePolicy::default() };
-        collect(&*self.store, &self.blobs, &policy, self.clock.now()).await.expect("collected")
+        collect(&self.store, &self.blobs, &policy, self.clock.now()).await.expect("collected")
     }
 
     fn pass(&self, minutes: i64) {
@@ -161,7 +161,7 @@ async fn an_unused_publication_is_withdrawn_unless_something_refers_to_it() {
     let (lost, kept) = (publish("lost").await, publish("kept").await);
     fixture.keep(kept.blob).await;
     let withdraw =
-        async |published| withdraw(&*fixture.store, &fixture.blobs, published).await.expect("asked");
+        async |published| withdraw(&fixture.store, &fixture.blobs, published).await.expect("asked");
     assert!(withdraw(lost).await && !withdraw(kept).await);
     assert!(!fixture.is_there(lost.blob).await && fixture.is_there(kept.blob).await);
 }
@@ -199,7 +199,7 @@ async fn a_file_that_cannot_be_removed_leaves_the_others_to_be_collected() {
     fixture.pass(61);
     let policy = GarbagePolicy { blob_grace: GRACE, ..GarbagePolicy::default() };
     let now = fixture.clock.now();
-    collect(&*fixture.store, &fixture.blobs, &policy, now).await.expect_err("one is left");
+    collect(&fixture.store, &fixture.blobs, &policy, now).await.expect_err("one is left");
     for blob in blobs.iter().filter(|blob| *blob != stuck) {
         assert!(!fixture.is_there(*blob).await);
     }
@@ -222,7 +222,7 @@ async fn a_temporary_file_that_cannot_be_removed_leaves_blobs_to_be_collected() 
     fixture.pass(61);
     let policy = GarbagePolicy { blob_grace: GRACE, ..GarbagePolicy::default() };
     let now = fixture.clock.now();
-    collect(&*fixture.store, &fixture.blobs, &policy, now).await.expect_err("one is left");
+    collect(&fixture.store, &fixture.blobs, &policy, now).await.expect_err("one is left");
     assert!(!fixture.is_there(blob).await);
 }
 
@@ -306,7 +306,7 @@ async fn files_of_ended_uploads_are_removed_unless_they_are_locked() {
         let mut file = fixture.blobs.open_upload(id).await.expect("opens").expect("free");
         file.continue_at(0).await.expect("at its beginning");
         file.write(b"half").await.expect("written");
-        assert!(file.save(&*fixture.store, 4, expires_at).await.expect("saved"));
+        assert!(file.save(&fixture.store, 4, expires_at).await.expect("saved"));
     }
     fixture.pass(25);
     let held = fixture.blobs.open_upload(ids[1]).await.expect("opens").expect("free");

@@ -5,7 +5,7 @@ use std::{num::NonZeroU32, sync::Arc};
 use jiff::SignedDuration;
 use tcgs::{
     domain::{Clock as _, ManualClock, ProjectId, Scope, SystemRandom},
-    store::{KeyChange, KeyProject, KeyRecord, KeyRequest, Keys as _, NewKey, QueuePolicy, SqlStore},
+    store::{KeyChange, KeyProject, KeyRecord, KeyRequest, NewKey, QueuePolicy, Store},
 };
 
 use crate::support::database::Database;
@@ -25,7 +25,7 @@ async fn changes_that_were_made_of_the_same_record_keep_each_others_fields() {
     let Some(database) = super::database().await else { return };
     let database: Database = database;
     let clock = clock();
-    let store: SqlStore = database.open(clock.clone(), QueuePolicy::default()).await;
+    let store: Store = database.open(clock.clone(), QueuePolicy::default()).await;
     let record = store.create_key(drawn(&clock)).await.expect("created");
     let (rate, expires_at) = (NonZeroU32::new(5), Some(clock.now() + SignedDuration::from_hours(1)));
     let name = KeyChange { name: Some(" renamed ".into()), ..KeyChange::default() };

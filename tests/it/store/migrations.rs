@@ -11,10 +11,7 @@ use sqlx::{
 };
 use tcgs::{
     domain::{DatasetId, EndpointId, JobId, JobState, KeyId, ProjectId, SystemClock, UploadId},
-    store::{
-        Accounts as _, ArtifactKind, Datasets as _, Exports as _, Idempotency as _, JobFilter, Keys as _,
-        Projects as _, QueuePolicy, Series as _, SqlStore, Store, Uploads as _, Usage, Webhooks as _,
-    },
+    store::{ArtifactKind, JobFilter, QueuePolicy, Store, Usage},
 };
 
 use super::sqlite::totals::{Fixture, succeeded};
@@ -69,8 +66,8 @@ async fn restore(path: &Path, version: i64) {
     pool.close().await;
 }
 
-async fn open(path: &Path) -> SqlStore {
-    SqlStore::open(path, Arc::new(SystemClock), QueuePolicy::default()).await.expect("opens")
+async fn open(path: &Path) -> Store {
+    Store::open(path, Arc::new(SystemClock), QueuePolicy::default()).await.expect("opens")
 }
 
 /// An identity of the dumps; jobs, keys and the rest count through one row of numbers.
@@ -131,7 +128,7 @@ async fn databases_of_every_earlier_schema_keep_their_content_through_migrations
     }
 }
 
-async fn assert_finished_job(store: &SqlStore, version: i64) {
+async fn assert_finished_job(store: &Store, version: i64) {
     let id = FINISHED_JOB.parse().expect("an id");
     let record = store.job(id).await.expect("reads").unwrap_or_else(|| panic!("lost from version {version}"));
     assert_eq!(record.job.state, JobState::Succeeded, "version {version}");
@@ -149,13 +146,13 @@ async fn assert_finished_job(store: &SqlStore, version: i64) {
 }
 
 /// Queued jobs are still queued.
-async fn assert_queued_job(store: &SqlStore, version: i64) {
+async fn assert_queued_job(store: &Store, version: i64) {
     let claim = store.claim("test").await.expect("a claim").expect("the job that waited");
     assert_eq!(claim.lease.job, id(QUEUED_JOB), "version {version}");
 }
 
 /// Content that only later schemas have.
-async fn assert_later_tables(store: &SqlStore, version: i64) {
+async fn assert_later_tables(store: &Store, version: i64) {
     let finished = FINISHED_JOB.parse().expect("an id");
     if version >= 4 {
         let key = store.key(id(KEY)).await.expect("reads").expect("the key is there");

@@ -5,10 +5,7 @@ use std::{sync::Arc, time::Duration};
 use jiff::{SignedDuration, Timestamp};
 use tcgs::{
     domain::{Digest, JobId, JobState, ManualClock, SystemClock, TrainOptions},
-    store::{
-        Accounts as _, BlobRef, Blobs, ChangeKind, DatabaseLocation, JobFilter, NewJob, Outcome,
-        Overview as _, Projects as _, QueuePolicy, Retention as _, SqlStore, Store, Uploads as _,
-    },
+    store::{BlobRef, Blobs, ChangeKind, DatabaseLocation, JobFilter, NewJob, Outcome, QueuePolicy, Store},
     worker,
 };
 use tokio_util::sync::CancellationToken;
@@ -35,7 +32,7 @@ async fn database() -> Option<Database> {
     Database::for_module("postgres").await
 }
 
-async fn open(database: &Database) -> SqlStore {
+async fn open(database: &Database) -> Store {
     database.open(Arc::new(SystemClock), QueuePolicy::default()).await
 }
 
@@ -76,7 +73,7 @@ async fn a_job_is_found_by_asking_if_its_notification_is_lost() {
         database.run(&format!("DROP TRIGGER {trigger} ON jobs")).await;
     }
     database.run("DROP TRIGGER events_told ON events").await;
-    let store: Arc<dyn Store> = Arc::new(open(&database).await);
+    let store = Arc::new(open(&database).await);
     let folder = tempfile::tempdir().expect("a folder");
     let blobs = Blobs::open(folder.path()).expect("a blob store");
     let stop = CancellationToken::new();
@@ -103,7 +100,7 @@ async fn times_are_the_databases() {
     let Database::Postgres(postgres) = &database else { panic!("PostgreSQL") };
     let location = DatabaseLocation::Postgres(postgres.url());
     let wrong = Arc::new(ManualClock::new("1999-12-31T23:59:59Z".parse().expect("an instant")));
-    let store = SqlStore::open(&location, wrong.clone(), QueuePolicy::default()).await.expect("a database");
+    let store = Store::open(&location, wrong.clone(), QueuePolicy::default()).await.expect("a database");
     let record = store.create_job(new_job(1, dataset())).await.expect("created");
     let told: i64 = database.number("SELECT CAST(extract(epoch FROM now()) * 1000000 AS bigint)").await;
     let apart = told - record.job.created_at.as_microsecond();
@@ -289,7 +286,6 @@ async fn changes_of_totals_are_folded_into_them() {
     assert_eq!((before.claims, before.blobs, before.blob_bytes), (5, 1, 7));
     let changes = "SELECT (SELECT count(*) FROM total_changes) + (SELECT count(*) FROM counter_changes)";
     assert!(database.number(changes).await > 5);
-    use tcgs::store::Uploads as _;
     for _ in 0..2 {
         store.expire_uploads(jiff::Timestamp::UNIX_EPOCH).await.expect("collected");
         assert_eq!(database.number(changes).await, 0);

@@ -12,7 +12,7 @@ use tcgs::{
     store::{
         Artifact, ArtifactKind, AttemptOutcome, BlobRef, Blobs, Cancellation, Claim, DatabaseLocation,
         Deletion, IdempotentRequest, JobFilter, JobRecord, Lease, NewJob, NewProject, Outcome, PostgresUrl,
-        ProjectChange, QueuePolicy, RetryOutcome, RetryRequest, SqlStore, Store, StoreError, WorkerDeath,
+        ProjectChange, QueuePolicy, RetryOutcome, RetryRequest, Store, StoreError, WorkerDeath,
     },
 };
 use uuid::Uuid;
@@ -23,7 +23,7 @@ use crate::support::{database::Database, fakes};
 const LONGEST: Duration = Duration::from_secs(120);
 
 struct Queue {
-    store: Arc<dyn Store>,
+    store: Arc<Store>,
     clock: Arc<ManualClock>,
     database: Database,
 }
@@ -73,7 +73,7 @@ impl Queue {
     }
 
     async fn events(&self, id: JobId) -> Vec<Event> {
-        events(&*self.store, id).await
+        events(&self.store, id).await
     }
 
     async fn outcomes(&self, id: JobId) -> Vec<Option<AttemptOutcome>> {
@@ -82,7 +82,7 @@ impl Queue {
 }
 
 /// Every event of a job, whose numbers must count from 1.
-async fn events(store: &dyn Store, id: JobId) -> Vec<Event> {
+async fn events(store: &Store, id: JobId) -> Vec<Event> {
     let events = store.events(id, 0, 1000).await.expect("read").expect("known");
     let numbers: Vec<u64> = events.iter().map(|event| event.seq).collect();
     assert_eq!(numbers, (1..=events.len() as u64).collect::<Vec<_>>(), "events must have no gaps");
@@ -149,7 +149,7 @@ async fn claiming_child_process() {
         Ok(url) => DatabaseLocation::Postgres(url),
         Err(_) => DatabaseLocation::File(database.into()),
     };
-    let store = SqlStore::open(location, Arc::new(SystemClock), QueuePolicy::default()).await;
+    let store = Store::open(location, Arc::new(SystemClock), QueuePolicy::default()).await;
     let store = Arc::new(store.expect("a database"));
     std::fs::write(folder.join(format!("{name}.ready")), "").expect("written");
     while !folder.join("go").exists() {
@@ -258,7 +258,7 @@ async fn an_expired_lease_is_claimable_exactly_once() {
 #[tokio::test(flavor = "multi_thread", worker_threads = 4)]
 async fn expired_leases_are_claimable_once_each_by_claimers_at_the_same_time() {
     let Some(queue) = Queue::new().await else { return };
-    let other: Arc<dyn Store> = Arc::new(another(&queue).await);
+    let other = Arc::new(another(&queue).await);
     let mut stale = Vec::new();
     for number in 1..=8 {
         queue.add(number).await;
@@ -586,7 +586,7 @@ async fn a_job_that_crashes_two_workers_is_not_given_to_a_third() {
 }
 
 /// A second store on the same database, as another process would open it.
-async fn another(queue: &Queue) -> SqlStore {
+async fn another(queue: &Queue) -> Store {
     queue.database.open(queue.clock.clone(), QueuePolicy::default()).await
 }
 
@@ -1403,7 +1403,7 @@ async fn a_checkpoint_is_needed_for_as_long_as_a_retry_from_it_waits() {
 #[tokio::test(flavor = "multi_thread", worker_threads = 4)]
 async fn fifty_requests_with_one_idempotency_key_create_one_job() {
     let Some(queue) = Queue::new().await else { return };
-    let other: Arc<dyn Store> = Arc::new(another(&queue).await);
+    let other = Arc::new(another(&queue).await);
     let dataset = BlobRef { digest: Digest::of(b"dataset"), bytes: 7 };
     let intent = IdempotentRequest {
         project: ProjectId::DEFAULT,

@@ -20,7 +20,7 @@ const KEEP: Duration = Duration::from_secs(30 * 24 * 3600);
 
 impl Fixture {
     async fn remove(&self, keep: Option<Duration>) -> u64 {
-        remove_expired(&*self.store, keep, &CancellationToken::new()).await.expect("removed")
+        remove_expired(&self.store, keep, &CancellationToken::new()).await.expect("removed")
     }
 
     async fn state(&self, job: JobId) -> Option<JobState> {
@@ -126,7 +126,7 @@ async fn a_removal_is_many_short_transactions_and_stops_when_it_is_told() {
     fixture.clock.advance(DAY * 31);
     let stopped = CancellationToken::new();
     stopped.cancel();
-    assert_eq!(remove_expired(&*fixture.store, Some(KEEP), &stopped).await.expect("nothing"), 0);
+    assert_eq!(remove_expired(&fixture.store, Some(KEEP), &stopped).await.expect("nothing"), 0);
     let (mut steps, mut after) = (Vec::new(), None);
     loop {
         let removed = fixture.store.remove_ended_jobs(KEEP, after).await.expect("removed");

@@ -1,6 +1,6 @@
 //! The simulation of the benchmark in small: many jobs of unequal projects, taken by workers of which some die, on a simulated clock.
 
-use tcgs::store::{JobFilter, Overview as _, Store as _};
+use tcgs::store::JobFilter;
 
 use super::{database, queue::succeeded, simulation};
 

@@ -20,7 +20,7 @@ use uuid::Uuid;
 use crate::support::{database::Database, fakes, totals::totals_equal_a_recount};
 
 pub(in crate::store) struct Fixture {
-    pub(in crate::store) store: Arc<dyn Store>,
+    pub(in crate::store) store: Arc<Store>,
     pub(super) clock: Arc<ManualClock>,
     pub(super) database: Database,
     pub(in crate::store) seen: StoreStats,

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use jiff::SignedDuration;
 use tcgs::{
     domain::{ManualClock, ViewerToken},
-    store::{QueuePolicy, SqlStore, VIEWER_LIFE, ViewerRecord, Viewers as _},
+    store::{QueuePolicy, Store, VIEWER_LIFE, ViewerRecord},
 };
 
 use crate::support::database::Database;
@@ -19,7 +19,7 @@ fn viewer(url: &str, token: &str) -> ViewerRecord {
     }
 }
 
-async fn alive(store: &SqlStore) -> Vec<(String, String, String)> {
+async fn alive(store: &Store) -> Vec<(String, String, String)> {
     let found = store.live_viewers().await.expect("read");
     found.into_iter().map(|one| (one.url, one.identity, one.token.expose().to_owned())).collect()
 }

@@ -5,7 +5,7 @@ use std::{path::PathBuf, sync::Arc};
 use sqlx::{Connection as _, PgConnection, Row as _, SqliteConnection};
 use tcgs::{
     domain::Clock,
-    store::{DATABASE, DatabaseLocation, QueuePolicy, SqlStore},
+    store::{DATABASE, DatabaseLocation, QueuePolicy, Store},
 };
 use tempfile::TempDir;
 
@@ -45,8 +45,8 @@ impl Database {
     }
 
     /// A store over it, as another process would open it.
-    pub async fn open(&self, clock: Arc<dyn Clock>, policy: QueuePolicy) -> SqlStore {
-        SqlStore::open(self.location(), clock, policy).await.expect("a database")
+    pub async fn open(&self, clock: Arc<dyn Clock>, policy: QueuePolicy) -> Store {
+        Store::open(self.location(), clock, policy).await.expect("a database")
     }
 
     /// Whether it is PostgreSQL.

@@ -14,7 +14,7 @@ use serde_json::{Value, json};
 use tcgs::{
     domain::{Clock as _, SystemClock},
     store::{
-        Blobs, BucketUrl, DatabaseLocation, QueuePolicy, SqlStore,
+        Blobs, BucketUrl, DatabaseLocation, QueuePolicy, Store,
         garbage::{Collected, GarbagePolicy, collect},
     },
 };
@@ -129,7 +129,7 @@ impl Deployment {
             Database::Postgres(database) => DatabaseLocation::Postgres(database.url()),
             other => other.location(),
         };
-        let store = SqlStore::open_current(location, Arc::new(SystemClock), QueuePolicy::default());
+        let store = Store::open_current(location, Arc::new(SystemClock), QueuePolicy::default());
         let store = Arc::new(store.await.expect("a database"));
         let blobs = match &self.bucket {
             None => Blobs::open(self.data()).expect("a blob store"),
@@ -138,7 +138,7 @@ impl Deployment {
             }
         };
         let policy = GarbagePolicy { blob_grace: SignedDuration::ZERO, ..GarbagePolicy::default() };
-        let collected = collect(&*store, &blobs, &policy, SystemClock.now()).await.expect("collected");
+        let collected = collect(&store, &blobs, &policy, SystemClock.now()).await.expect("collected");
         store.close().await;
         collected
     }

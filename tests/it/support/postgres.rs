@@ -19,7 +19,7 @@ use std::{
 use sqlx::{Connection as _, PgConnection};
 use tcgs::{
     domain::SystemClock,
-    store::{PostgresUrl, QueuePolicy, SqlStore},
+    store::{PostgresUrl, QueuePolicy, Store},
 };
 use tokio::sync::OnceCell;
 
@@ -173,7 +173,7 @@ impl Cluster {
         self.template
             .get_or_init(async || {
                 run(&self.folder, "CREATE DATABASE template_tcgs").await;
-                let store = SqlStore::open(
+                let store = Store::open(
                     tcgs::store::DatabaseLocation::Postgres(url(&self.folder, "template_tcgs")),
                     std::sync::Arc::new(SystemClock),
                     QueuePolicy::default(),

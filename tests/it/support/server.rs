@@ -10,8 +10,7 @@ use tcgs::{
     domain::{Clock, DatasetId, KeyId, ProjectId, ProjectLimits, Scope, SystemClock, SystemRandom},
     http::{self, HttpConfig, Services, config::RequestLimits},
     store::{
-        Blobs, DatabaseLocation, DatasetRecord, KeyProject, KeyRequest, Keys as _, NewKey, QueuePolicy,
-        SqlStore, Store,
+        Blobs, DATABASE, DatabaseLocation, DatasetRecord, KeyProject, KeyRequest, NewKey, QueuePolicy, Store,
     },
     worker::{self, WorkerConfig},
 };
@@ -24,12 +23,9 @@ use super::{
     contract::Coverage,
     eventually::{PATIENCE, eventually},
     fakes::{self, DatasetCheck, FakeEngine, FakeExporter, FakeRenderer, FakeRunner, FakeWorkers},
-    faults::FaultStore,
+    faults::PlannedFaults,
     sse::Reader,
 };
-
-/// Name of the database's file.
-const DATABASE: &str = "tcgs.db";
 
 /// How a test's server differs from the usual one.
 pub struct Setup {
@@ -41,6 +37,8 @@ pub struct Setup {
     /// Whatever else is to be otherwise.
     pub tune: fn(&mut HttpConfig),
     pub clock: Arc<dyn Clock>,
+    /// The database's clock, if it is another.
+    pub database_clock: Option<Arc<dyn Clock>>,
     /// How datasets are checked.
     pub check: DatasetCheck,
     /// The database, if not SQLite in the server's folder.
@@ -65,6 +63,7 @@ impl Default for Setup {
             policy: quick_policy(),
             tune: |_| {},
             clock: Arc::new(SystemClock),
+            database_clock: None,
             check: Arc::new(fakes::check),
             database: None,
             bucket: None,
@@ -97,7 +96,9 @@ pub struct Server {
     pub address: SocketAddr,
     /// The metrics' own address, if they have one.
     pub metrics_address: Option<SocketAddr>,
-    pub store: Arc<FaultStore>,
+    pub store: Arc<Store>,
+    /// How calls of the store fail.
+    pub faults: Arc<PlannedFaults>,
     pub services: Services,
     pub runner: FakeRunner,
     pub renderer: FakeRenderer,
@@ -177,18 +178,19 @@ impl Server {
     pub async fn start_in(coverage: &Coverage, setup: Setup, data: Arc<TempDir>) -> Self {
         let clock = setup.clock;
         let database = setup.database.unwrap_or_else(|| (&data.path().join(DATABASE)).into());
-        let store = SqlStore::open(database, Arc::clone(&clock), setup.policy).await;
-        let store = Arc::new(store.expect("a database"));
+        let database_clock = setup.database_clock.unwrap_or_else(|| Arc::clone(&clock));
+        let store = Store::open(database, database_clock, setup.policy).await.expect("a database");
         let blobs = match setup.bucket {
-            Some(bucket) => Blobs::open_bucket(data.path(), bucket, store.clone()).await,
+            Some(bucket) => Blobs::open_bucket(data.path(), bucket, Arc::new(store.clone())).await,
             None => Blobs::open(data.path()),
         };
         let blobs = blobs.expect("a blob store");
-        let store = Arc::new(FaultStore::new(store));
+        let faults = Arc::new(PlannedFaults::default());
+        let store = Arc::new(store.with_faults(faults.clone()));
         let (runner, renderer) = (FakeRunner::default(), FakeRenderer::default());
         let exporter = Arc::new(FakeExporter::default());
         let services = Services {
-            store: Arc::clone(&store) as Arc<dyn Store>,
+            store: Arc::clone(&store),
             blobs: blobs.clone(),
             clock,
             entropy: Arc::new(SystemRandom),
@@ -202,7 +204,7 @@ impl Server {
         let shutdown = CancellationToken::new();
         if setup.worker {
             let worker = worker::serve(
-                Arc::clone(&store) as Arc<dyn Store>,
+                Arc::clone(&store),
                 blobs,
                 Arc::new(runner.clone()),
                 quick_worker("test"),
@@ -232,6 +234,7 @@ impl Server {
             address,
             metrics_address,
             store,
+            faults,
             services,
             runner,
             renderer,
@@ -306,7 +309,7 @@ impl Server {
             match again {
                 Some(again)
                     if answer.is_of_a_busy_database()
-                        && !self.store.is_failing()
+                        && !self.faults.is_failing()
                         && tokio::time::Instant::now() < end =>
                 {
                     request = again;

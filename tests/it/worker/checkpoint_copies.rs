@@ -13,7 +13,7 @@ use object_store::memory::InMemory;
 use tcgs::{
     domain::{CancelFlag, JobId, Phase, Problem, ProblemType, Progress, SystemClock, TrainOptions},
     pipeline::{Checkpoints, JobError, JobOutput, Resume, RunJob},
-    store::{Blobs, NewJob, QueuePolicy, SqlStore, Store as _},
+    store::{Blobs, NewJob, QueuePolicy, Store},
     worker::{self, WorkerConfig},
 };
 use tokio_util::sync::CancellationToken;
@@ -52,7 +52,7 @@ impl RunJob for OneRun {
 }
 
 struct Fixture {
-    store: Arc<SqlStore>,
+    store: Arc<Store>,
     blobs: Blobs,
     faults: FaultStore,
     found: Arc<Mutex<Vec<bool>>>,

@@ -12,7 +12,7 @@ use serde_json::{Value, json};
 use tcgs::{
     domain::{Clock as _, JobState, SystemClock, Workers as _},
     store::{
-        AttemptOutcome, Blobs, DATABASE, NewJob, RetryRequest, SqlStore, Store, WorkerDeath,
+        AttemptOutcome, Blobs, DATABASE, NewJob, RetryRequest, Store, WorkerDeath,
         garbage::{GarbagePolicy, collect},
     },
     worker::{
@@ -30,7 +30,7 @@ use crate::support::{
     database::Database,
     eventually::eventually,
     fakes::FakeRunner,
-    faults::{Failing, FaultStore},
+    faults::{Failing, PlannedFaults},
     server::{Server, quick_policy, quick_worker},
 };
 
@@ -43,7 +43,7 @@ async fn within<T>(future: impl Future<Output = T>) -> T {
 }
 
 struct Fixture {
-    store: Arc<dyn Store>,
+    store: Arc<Store>,
     blobs: Blobs,
     runner: FakeRunner,
     shutdown: CancellationToken,
@@ -61,10 +61,18 @@ impl Fixture {
         self.start_on(Arc::clone(&self.store), config)
     }
 
-    fn start_on(&self, store: Arc<dyn Store>, config: WorkerConfig) -> JoinHandle<Result<(), WorkerError>> {
+    fn start_on(&self, store: Arc<Store>, config: WorkerConfig) -> JoinHandle<Result<(), WorkerError>> {
         let blobs = self.blobs.clone();
         let runner = Arc::new(self.runner.clone());
         tokio::spawn(worker::serve(store, blobs, runner, config, self.shutdown.clone()))
+    }
+
+    /// Starts a worker whose calls of the store fail when told to.
+    fn start_with_faults(&self, config: WorkerConfig) -> Arc<PlannedFaults> {
+        let faults = Arc::new(PlannedFaults::default());
+        let store = Store::clone(&self.store).with_faults(faults.clone());
+        self.start_on(Arc::new(store), config);
+        faults
     }
 
     async fn add(&self, wish: &'static str) -> tcgs::domain::JobId {
@@ -100,8 +108,8 @@ impl Drop for Fixture {
     }
 }
 
-async fn open(data: &Path) -> (Arc<dyn Store>, Blobs) {
-    let store = SqlStore::open(&data.join(DATABASE), Arc::new(SystemClock), quick_policy()).await;
+async fn open(data: &Path) -> (Arc<Store>, Blobs) {
+    let store = Store::open(&data.join(DATABASE), Arc::new(SystemClock), quick_policy()).await;
     (Arc::new(store.expect("a database")), Blobs::open(data).expect("a blob store"))
 }
 
@@ -278,11 +286,11 @@ async fn a_short_outage_of_the_database_does_not_cost_the_run() {
     let server = Server::start(&Coverage::default()).await;
     let job = server.create("gate").await;
     server.runner.gate.someone_waits().await;
-    server.store.set(Some(Failing::Busy));
+    server.faults.set(Some(Failing::Busy));
     server.runner.gate.open();
     // Long enough for heartbeats, reports and the first try at the end to fail.
     tokio::time::sleep(Duration::from_millis(100)).await;
-    server.store.set(None);
+    server.faults.set(None);
     let done = server.reaches(&job, "succeeded").await;
     assert_eq!(done["attempt"], 1);
 }
@@ -317,17 +325,16 @@ async fn a_job_without_disk_space_is_held_until_there_is_some() {
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_disk_that_is_full_for_longer_than_a_lease_does_not_cost_the_run() {
     let fixture = Fixture::new().await;
-    let store = Arc::new(FaultStore::new(Arc::clone(&fixture.store)));
     let lease = Duration::from_millis(40);
-    fixture.start_on(Arc::clone(&store) as Arc<dyn Store>, WorkerConfig { lease, ..quick_worker("w") });
+    let faults = fixture.start_with_faults(WorkerConfig { lease, ..quick_worker("w") });
     let id = fixture.add("gate").await;
     within(fixture.runner.gate.someone_waits()).await;
-    store.set(Some(Failing::Full));
+    faults.set(Some(Failing::Full));
     // Heartbeats and reports fail for longer than the lease lasts, and so does the end of the attempt.
     tokio::time::sleep(5 * lease).await;
     fixture.runner.gate.open();
     tokio::time::sleep(5 * lease).await;
-    store.set(None);
+    faults.set(None);
     let job = fixture.reaches(id, JobState::Succeeded).await;
     assert_eq!(job.attempt, 1);
 }
@@ -336,13 +343,12 @@ async fn a_disk_that_is_full_for_longer_than_a_lease_does_not_cost_the_run() {
 async fn without_room_for_the_end(
     fixture: &Fixture,
     config: WorkerConfig,
-) -> (Arc<FaultStore>, tcgs::domain::JobId) {
-    let store = Arc::new(FaultStore::new(Arc::clone(&fixture.store)));
-    store.set(Some(Failing::FullForEnds));
-    fixture.start_on(Arc::clone(&store) as Arc<dyn Store>, config);
+) -> (Arc<PlannedFaults>, tcgs::domain::JobId) {
+    let faults = fixture.start_with_faults(config);
+    faults.set(Some(Failing::FullForEnds));
     let id = fixture.add("succeed").await;
-    eventually("its end is refused", async || store.refused_ends() > 0).await;
-    (store, id)
+    eventually("its end is refused", async || faults.failures("finish") > 0).await;
+    (faults, id)
 }
 
 /// Dates all blobs back, as if their publication had been long ago.
@@ -362,16 +368,16 @@ fn date_back(blobs: &Path) {
 async fn a_result_is_there_however_long_its_job_had_no_room_to_end() {
     let fixture = Fixture::new().await;
     let config = WorkerConfig { republish_every: Duration::ZERO, ..quick_worker("w") };
-    let (store, id) = without_room_for_the_end(&fixture, config).await;
+    let (faults, id) = without_room_for_the_end(&fixture, config).await;
     let collected = async || {
         let policy = GarbagePolicy::default();
-        let collected = collect(&*fixture.store, &fixture.blobs, &policy, SystemClock.now()).await;
+        let collected = collect(&fixture.store, &fixture.blobs, &policy, SystemClock.now()).await;
         collected.expect("collected").blobs
     };
     let renewed = async || {
         // The try that is under way may have published before.
-        let enough = store.refused_ends() + 2;
-        eventually("the result is published again", async || store.refused_ends() >= enough).await;
+        let enough = faults.failures("finish") + 2;
+        eventually("the result is published again", async || faults.failures("finish") >= enough).await;
     };
     date_back(&fixture.data.path().join("blobs"));
     renewed().await;
@@ -380,7 +386,7 @@ async fn a_result_is_there_however_long_its_job_had_no_room_to_end() {
     // Whether or not the worker was faster.
     collected().await;
     renewed().await;
-    store.set(None);
+    faults.set(None);
     fixture.reaches(id, JobState::Succeeded).await;
     let artifacts = fixture.store.job(id).await.expect("read").expect("known").artifacts;
     assert_eq!(artifacts.len(), 3);
@@ -392,12 +398,12 @@ async fn a_result_is_there_however_long_its_job_had_no_room_to_end() {
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_lease_is_renewed_while_there_is_no_room_for_the_end() {
     let fixture = Fixture::new().await;
-    let (store, id) = without_room_for_the_end(&fixture, quick_worker("w")).await;
+    let (faults, id) = without_room_for_the_end(&fixture, quick_worker("w")).await;
     let database = Database::DataFolder(fixture.data.path().to_owned());
     let until = async || database.number("SELECT lease_until FROM jobs").await;
     let before = until().await;
     eventually("the lease is renewed", async || until().await > before).await;
-    store.set(None);
+    faults.set(None);
     assert_eq!(fixture.reaches(id, JobState::Succeeded).await.attempt, 1);
 }
 

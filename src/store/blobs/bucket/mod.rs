@@ -1,7 +1,7 @@
 //! Blobs as objects of an S3 bucket.
 //!
-//! The database knows which blobs the bucket has or may have, and decides their removal ([`Publications`]); the bucket itself only keeps
-//! bytes. One database uses a bucket, or a prefix of one: an object there names it.
+//! The database knows which blobs the bucket has or may have, and decides their removal ([`crate::store::publications`]); the bucket itself
+//! only keeps bytes. One database uses a bucket, or a prefix of one: an object there names it.
 
 mod marker;
 mod patience;
@@ -35,9 +35,8 @@ use super::{
 use crate::{
     domain::{Digest, FailurePoint, failure_point::reach},
     store::{
-        BlobPlace, BlobRef,
-        publications::{Announcement, Publications, REMOVAL_LIMIT, Removable, Removal},
-        uploads::UploadParts,
+        BlobPlace, BlobRef, Store,
+        publications::{Announcement, REMOVAL_LIMIT, Removable, Removal},
     },
 };
 
@@ -50,16 +49,11 @@ const WHILE_REMOVED: Duration = Duration::from_millis(100);
 /// Blobs looked up at a time.
 const BATCH: u32 = 500;
 
-/// What the database knows of a bucket.
-pub trait BucketIndex: Publications + UploadParts {}
-
-impl<T: Publications + UploadParts> BucketIndex for T {}
-
 /// The bucket.
 #[derive(Clone)]
 pub(super) struct Bucket {
     objects: Arc<dyn ObjectStore>,
-    index: Arc<dyn BucketIndex>,
+    store: Arc<Store>,
     identity: Arc<str>,
 }
 
@@ -70,29 +64,26 @@ enum Content<'a> {
 }
 
 impl Bucket {
-    /// Takes the bucket for the database of `index`.
-    pub(super) async fn open(
-        objects: Arc<dyn ObjectStore>,
-        index: Arc<dyn BucketIndex>,
-    ) -> Result<Self, BlobError> {
-        let identity = index.claim_place(BlobPlace::Bucket).await?;
+    /// Takes the bucket for the database of `store`.
+    pub(super) async fn open(objects: Arc<dyn ObjectStore>, store: Arc<Store>) -> Result<Self, BlobError> {
+        let identity = store.claim_place(BlobPlace::Bucket).await?;
         // A database that has blobs has a bucket: another one, named by mistake, would be taken for it and lack all of them.
-        if index.has_publications().await? {
+        if store.has_publications().await? {
             marker::expect(&*objects, &identity).await?;
         } else {
             marker::claim(&*objects, &identity).await?;
         }
-        Ok(Self { objects, index, identity: identity.into() })
+        Ok(Self { objects, store, identity: identity.into() })
     }
 
-    /// Takes the bucket for the database of `index`, whichever had it before, with everything in it.
+    /// Takes the bucket for the database of `store`, whichever had it before, with everything in it.
     pub(super) async fn take_over(
         objects: Arc<dyn ObjectStore>,
-        index: Arc<dyn BucketIndex>,
+        store: Arc<Store>,
     ) -> Result<Self, BlobError> {
-        let identity = index.claim_place(BlobPlace::Bucket).await?;
+        let identity = store.claim_place(BlobPlace::Bucket).await?;
         marker::replace(&*objects, &identity).await?;
-        let bucket = Self { objects, index, identity: identity.into() };
+        let bucket = Self { objects, store, identity: identity.into() };
         bucket.announce_objects().await?;
         Ok(bucket)
     }
@@ -133,7 +124,7 @@ impl Bucket {
             if !self.has(blob).await? {
                 return Ok(None);
             }
-            if self.index.confirm(announced).await?.is_some() {
+            if self.store.confirm(announced).await?.is_some() {
                 return Ok(Some(Published { blob, created_at: None }));
             }
         }
@@ -148,7 +139,7 @@ impl Bucket {
             }
             reach(FailurePoint::BlobStored);
             // Also if it was there: whoever may withdraw an earlier publication learns of this one.
-            if let Some(confirmed) = self.index.confirm(announced).await? {
+            if let Some(confirmed) = self.store.confirm(announced).await? {
                 // Only then is no other publisher left without the object if this publication is withdrawn.
                 let created_at = confirmed.is_new.then_some(confirmed.published_at);
                 return Ok(Published { blob, created_at });
@@ -159,7 +150,7 @@ impl Bucket {
     /// Announces a publication, once nobody removes the blob.
     async fn announce(&self, blob: BlobRef) -> Result<Announcement, BlobError> {
         loop {
-            if let Some(announced) = self.index.announce(blob).await? {
+            if let Some(announced) = self.store.announce(blob).await? {
                 return Ok(announced);
             }
             sleep(WHILE_REMOVED).await;
@@ -229,7 +220,7 @@ impl Bucket {
                 written = &mut writing => return written,
                 () = sleep(RENEW_EVERY) => {
                     // If it was removed, or the database is away, that shows at the end.
-                    if let Ok(Some(renewed)) = self.index.confirm(*announced).await {
+                    if let Ok(Some(renewed)) = self.store.confirm(*announced).await {
                         *announced = renewed;
                     }
                 }
@@ -267,7 +258,7 @@ impl Bucket {
     pub(super) async fn older_than(&self, age: jiff::SignedDuration) -> Result<Vec<Digest>, BlobError> {
         let mut found: Vec<Digest> = Vec::new();
         loop {
-            let page = self.index.older_publications(age, found.last().copied(), BATCH).await?;
+            let page = self.store.older_publications(age, found.last().copied(), BATCH).await?;
             if page.is_empty() {
                 return Ok(found);
             }
@@ -277,7 +268,7 @@ impl Bucket {
 
     /// Removes the blob if `which` accepts its latest publication, and returns the bytes freed.
     pub(super) async fn remove(&self, digest: Digest, which: Removable) -> Result<Option<u64>, BlobError> {
-        let Some(removal) = self.index.begin_removal(digest, which).await? else { return Ok(None) };
+        let Some(removal) = self.store.begin_removal(digest, which).await? else { return Ok(None) };
         self.finish_removal(removal).await?;
         Ok(Some(removal.blob.bytes))
     }
@@ -288,7 +279,7 @@ impl Bucket {
     /// The first, after all others are finished.
     pub(super) async fn finish_removals(&self) -> Result<(), BlobError> {
         let mut finished = Ok(());
-        for removal in self.index.abandoned_removals().await? {
+        for removal in self.store.abandoned_removals().await? {
             // One that fails leaves the others to be finished.
             finished = finished.and(self.finish_removal(removal).await);
         }
@@ -301,7 +292,7 @@ impl Bucket {
             // Whether it is deleted is unknown; the next collection finishes it.
             Err(late) => return Err(BlobError::Io(late.into())),
         }
-        Ok(self.index.end_removal(removal).await?)
+        Ok(self.store.end_removal(removal).await?)
     }
 
     /// Deletes a blob's object, if there is one.

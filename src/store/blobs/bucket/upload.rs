@@ -16,10 +16,10 @@ use tokio::{
     time::{Instant, sleep},
 };
 
-use super::{BlobError, Bucket, BucketIndex, ContentHasher, SharedFiles, StagingDir};
+use super::{BlobError, Bucket, ContentHasher, SharedFiles, StagingDir};
 use crate::{
     domain::UploadId,
-    store::{BlobRef, blobs::files::write_through, uploads::UploadWriter},
+    store::{BlobRef, Store, blobs::files::write_through, uploads::UploadWriter},
 };
 
 /// Folder of all uploads.
@@ -51,7 +51,7 @@ pub(in crate::store::blobs) struct BucketUpload {
 /// Renews a writer's lock until it is dropped, and then releases it.
 struct Lock {
     writer: UploadWriter,
-    index: Arc<dyn BucketIndex>,
+    store: Arc<Store>,
     renewing: JoinHandle<()>,
 }
 
@@ -62,8 +62,8 @@ impl std::fmt::Debug for Lock {
 }
 
 impl Lock {
-    fn new(writer: UploadWriter, index: Arc<dyn BucketIndex>) -> Self {
-        let renewed = Arc::clone(&index);
+    fn new(writer: UploadWriter, store: Arc<Store>) -> Self {
+        let renewed = Arc::clone(&store);
         let renewing = tokio::spawn(async move {
             loop {
                 sleep(RENEW_EVERY).await;
@@ -72,17 +72,17 @@ impl Lock {
                 }
             }
         });
-        Self { writer, index, renewing }
+        Self { writer, store, renewing }
     }
 }
 
 impl Drop for Lock {
     fn drop(&mut self) {
         self.renewing.abort();
-        let (index, writer) = (Arc::clone(&self.index), self.writer);
+        let (store, writer) = (Arc::clone(&self.store), self.writer);
         // Where there is no runtime any more, it ends by itself.
         if let Ok(runtime) = Handle::try_current() {
-            runtime.spawn(async move { index.unlock_upload(writer).await });
+            runtime.spawn(async move { store.unlock_upload(writer).await });
         }
     }
 }
@@ -91,10 +91,10 @@ impl Bucket {
     async fn lock_upload(&self, id: UploadId) -> Result<Option<Lock>, BlobError> {
         let began = Instant::now();
         loop {
-            if let Some(writer) = self.index.lock_upload(id).await? {
-                return Ok(Some(Lock::new(writer, Arc::clone(&self.index))));
+            if let Some(writer) = self.store.lock_upload(id).await? {
+                return Ok(Some(Lock::new(writer, Arc::clone(&self.store))));
             }
-            if began.elapsed() >= LOCK_PATIENCE || !self.index.is_upload(id).await? {
+            if began.elapsed() >= LOCK_PATIENCE || !self.store.is_upload(id).await? {
                 return Ok(None);
             }
             sleep(LOCK_PAUSE).await;
@@ -125,7 +125,7 @@ impl Bucket {
     pub(in crate::store::blobs) async fn remove_upload(&self, id: UploadId) -> Result<bool, BlobError> {
         // A row that is gone cannot be locked, and nobody writes.
         let lock = self.lock_upload(id).await?;
-        if lock.is_none() && self.index.is_upload(id).await? {
+        if lock.is_none() && self.store.is_upload(id).await? {
             return Ok(false);
         }
         self.shared_files().remove_below(&folder(id)).await?;
@@ -166,7 +166,7 @@ impl BucketUpload {
             self.files.save(&name, &self.path).await?;
         }
         let (writer, start) = (self.writer, self.saved);
-        let counts = self.lock.index.add_upload_part(writer, start, &name, received, expires_at).await?;
+        let counts = self.lock.store.add_upload_part(writer, start, &name, received, expires_at).await?;
         if counts {
             self.continue_at(received).await?;
         }
@@ -181,7 +181,7 @@ impl BucketUpload {
         self.continue_at(0).await?;
         let mut hasher = ContentHasher::new(u64::MAX);
         let mut end = 0;
-        for (start, name) in self.lock.index.upload_parts(self.writer.id).await? {
+        for (start, name) in self.lock.store.upload_parts(self.writer.id).await? {
             if start != end {
                 break;
             }
