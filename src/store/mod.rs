@@ -62,9 +62,9 @@ pub use records::{
     JobFilter, JobRecord, Lease, MAX_QUEUE_POSITION, NewJob, Outcome, PageKey, RemovedJobs, RetryOutcome,
     RetryRequest, SHOWN_ATTEMPTS, SceneArtifact, WorkerDeath,
 };
-#[doc(hidden)]
-pub use sql::StoreFaults;
 pub use sql::{DatabaseLocation, InvalidDatabaseUrl, PostgresUrl, SchemaChange, Store};
+#[doc(hidden)]
+pub use sql::{StoreFaults, migrations};
 pub use stats::{AttemptCount, StoreStats};
 pub use uploads::{NewUpload, UploadRecord};
 pub use viewers::{VIEWER_LIFE, ViewerRecord};

@@ -23,6 +23,7 @@ mod keys;
 mod leases;
 mod lists;
 mod locks;
+pub mod migrations;
 mod open;
 mod priority;
 mod projects;

@@ -16,7 +16,6 @@ use std::{
 use serde::Serialize;
 use sqlx::{
     Connection as _,
-    migrate::Migrator,
     pool::PoolOptions,
     postgres::{PgConnectOptions, PgPoolOptions},
     sqlite::{SqliteConnectOptions, SqliteJournalMode, SqlitePoolOptions, SqliteSynchronous},
@@ -27,17 +26,12 @@ use url::Url;
 use super::{
     Store, TimeSource,
     db::{Pool, Sql, query},
+    migrations,
 };
 use crate::{
     domain::Clock,
     store::{QueuePolicy, StoreError},
 };
-
-/// Every change of SQLite's schema, in order.
-static SQLITE_MIGRATIONS: Migrator = sqlx::migrate!("migrations/sqlite");
-
-/// Every change of PostgreSQL's schema, in order.
-static POSTGRES_MIGRATIONS: Migrator = sqlx::migrate!("migrations/postgres");
 
 const READERS: u32 = 4;
 const BUSY_TIMEOUT: Duration = Duration::from_secs(5);
@@ -365,8 +359,8 @@ async fn migrate_schema(
     }
     // Even if there is nothing to do: it compares the applied migrations with the known ones.
     match pool {
-        Pool::Sqlite(pool) => SQLITE_MIGRATIONS.run(pool).await?,
-        Pool::Postgres(pool) => POSTGRES_MIGRATIONS.run(pool).await?,
+        Pool::Sqlite(pool) => migrations::SQLITE.run(pool).await?,
+        Pool::Postgres(pool) => migrations::POSTGRES.run(pool).await?,
     }
     Ok(found)
 }
@@ -374,8 +368,8 @@ async fn migrate_schema(
 /// The version of this program's schema for a database.
 pub(super) fn newest(pool: &Pool) -> i64 {
     let migrations = match pool {
-        Pool::Sqlite(_) => &SQLITE_MIGRATIONS,
-        Pool::Postgres(_) => &POSTGRES_MIGRATIONS,
+        Pool::Sqlite(_) => &migrations::SQLITE,
+        Pool::Postgres(_) => &migrations::POSTGRES,
     };
     migrations.iter().map(|migration| migration.version).max().unwrap_or_default()
 }

@@ -7,13 +7,12 @@ use sqlx::{
     migrate::Migrator,
     sqlite::{SqliteConnectOptions, SqliteConnection},
 };
+use tcgs::store::migrations::SQLITE as ALL;
 
 use crate::support::{
     program::{self, answers, succeeds, tcgs},
     service::Service,
 };
-
-static ALL: Migrator = sqlx::migrate!("migrations/sqlite");
 
 fn newest() -> i64 {
     ALL.iter().map(|migration| migration.version).max().expect("there are some")

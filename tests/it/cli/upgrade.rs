@@ -13,7 +13,7 @@ use sqlx::{
     migrate::Migrator,
     sqlite::{SqliteConnectOptions, SqliteConnection},
 };
-use tcgs::domain::Digest;
+use tcgs::{domain::Digest, store::migrations::POSTGRES};
 
 use crate::support::{
     postgres::Cluster,
@@ -187,8 +187,6 @@ async fn a_service_that_cannot_start_changes_no_schema_and_makes_no_key() {
     fails_with(&at(&without_keys, &arguments), 2, "holds no key");
     assert_eq!(version(&without_keys).await, 1);
 }
-
-static POSTGRES: Migrator = sqlx::migrate!("migrations/postgres");
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_schema_of_postgresql_changes_by_migrate_alone_and_a_newer_one_is_refused() {

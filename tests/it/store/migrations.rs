@@ -11,14 +11,14 @@ use sqlx::{
 };
 use tcgs::{
     domain::{DatasetId, EndpointId, JobId, JobState, KeyId, ProjectId, SystemClock, UploadId},
-    store::{ArtifactKind, JobFilter, QueuePolicy, Store, Usage},
+    store::{
+        ArtifactKind, JobFilter, QueuePolicy, Store, Usage,
+        migrations::{POSTGRES, SQLITE as ALL},
+    },
 };
 
 use super::sqlite::totals::{Fixture, succeeded};
 use crate::support::database::Database;
-
-static ALL: Migrator = sqlx::migrate!("migrations/sqlite");
-static POSTGRES: Migrator = sqlx::migrate!("migrations/postgres");
 
 /// The same of PostgreSQL's migrations.
 const POSTGRES_CHECKSUMS: &[(i64, &str)] = &[
