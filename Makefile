@@ -95,7 +95,7 @@ soak: setup ## kill services and workers KILLS times on each kind of storage, th
 	@. scripts/env.sh && TCGS_S3_SERVER="$$(scripts/s3_server.sh)" TCGS_SOAK_KILLS=$(KILLS) \
 	timeout 3h cargo test --locked --test it -- --nocapture --test-threads 1 $(SOAK_TESTS)
 
-lint: setup ## formatting, clippy, documentation, licences
+lint: setup ## formatting, clippy, documentation, licenses
 	@$(CARGO) fmt --all --check
 	@$(CARGO) clippy --locked --workspace --all-targets -- -D warnings
 	@$(CARGO) doc --locked --workspace --no-deps --quiet

@@ -5,7 +5,7 @@
 
 The dataset is sent in parts (tus 1.0.0), the job is followed by its stream of events, and the file is downloaded by ranges and
 checked against its digest. A connection may break at any byte: uploads, events and downloads continue where they stopped, and
-every other request is repeated. The service's Retry-After is honoured. A key, where the service wants one, is read from
+every other request is repeated. The service's Retry-After is honored. A key, where the service wants one, is read from
 TCGS_API_KEY.
 """
 

@@ -231,7 +231,7 @@ fn candidates(scene: &AnchorScene, bytes: &mut Bytes<'_>) -> ContextCandidates {
         position: networks(ContextKind::Position),
         planes: vec![PlaneContext {
             own: networks(ContextKind::TriPlane),
-            neighbours: networks(ContextKind::TriPlaneKnn),
+            neighbors: networks(ContextKind::TriPlaneKnn),
             planes: planes.clone(),
         }],
     }

@@ -15,7 +15,7 @@ shift
 case $module in
 codec)
     files=(FORMAT.md fuzz/targets.rs fuzz/corpus tests/golden tests/oracles tests/it/support/skip.rs crates/tcgs-codec)
-    # 0.5 to 19 s each without optimisation, 72 s together.
+    # 0.5 to 19 s each without optimization, 72 s together.
     slow='bytes_do_not_depend_on_the_number_of_threads|small_files_that_ask_for_hours|no_flipped_bit_behind_mended|two_thousand_anchors|more_work_than_the_format_allows|within_a_half_percent_of_the_ideal|every_flipped_bit_behind_good|garbage_sections_behind|attributes_come_from_are_found_and_pay|every_kind_and_width|bytes_and_scene_do_not_depend|scenes_of_the_corpus_come_back|independent_decoder|channels_that_(follow|are_independent)|the_coder_is_as_close|a_few_bytes_that_stand|networks_give_nearly|coarser_steps_save|integers_cost_less|every_flipped_bit_of_header|headers_of_the_corpus|ordinary_scenes|attributes_take_no_more'
     first='the_encoder_still_writes_the_golden_files|golden_files_decode'
     ;;

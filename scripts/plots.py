@@ -5,7 +5,7 @@ context models save from those of docs/PLANES.md.
     scripts/plots.py            writes docs/img/quality.svg, docs/img/long.svg and docs/img/planes.svg
     scripts/plots.py --check    exits with status 1 if a committed figure is not what its tables give
 
-Standard library only. The figures are opaque and have colours for light and dark, so they are legible on any page.
+Standard library only. The figures are opaque and have colors for light and dark, so they are legible on any page.
 """
 
 import math
@@ -246,7 +246,7 @@ CONTEXTS = [
     ("tables", "3dgs", False),
     ("planes of 32", "tcgs", False),
     ("planes of 64", "tcgs", True),
-    ("neighbours", "scaffold", True),
+    ("neighbors", "scaffold", True),
 ]
 SIDE_BY_SIDE = "side by side"
 
@@ -287,7 +287,7 @@ def draw_planes(document):
         out.append(line(model, [(x, y - 4), (x + 24, y - 4)], dashed))
         out.append(f'<text x="{x + 30}" y="{y}">{column}</text>')
     out.append(f'<text x="{left + width}" y="{top + height + 32}" text-anchor="end">anchors</text>')
-    title = "Bytes of files with tables, planes and neighbours over those with positions, against the number of anchors"
+    title = "Bytes of files with tables, planes and neighbors over those with positions, against the number of anchors"
     return page(760, top + height + 44, title, out)
 
 

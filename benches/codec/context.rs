@@ -22,7 +22,7 @@ const CHANNELS: usize = 8;
 /// Hidden units of the groups' networks.
 const HIDDEN: [usize; 3] = [32, 16, 16];
 
-/// Planes and neighbours for every group, 8 bits a weight, and nothing to choose from.
+/// Planes and neighbors for every group, 8 bits a weight, and nothing to choose from.
 pub(crate) const FIXED: ContextSettings = ContextSettings {
     search: ContextSearch::Fixed(ContextChoice {
         planes: Some(0),
@@ -62,7 +62,7 @@ pub(crate) fn candidates(scene: &AnchorScene) -> ContextCandidates {
             .to_vec(),
     };
     let inputs = ContextKind::TriPlaneKnn.inputs(CHANNELS);
-    // Means and standard deviations in base steps, as the scenes are made and the tests' settings quantise them.
+    // Means and standard deviations in base steps, as the scenes are made and the tests' settings quantize them.
     let groups: [Vec<(f64, f64)>; 3] = [
         (0..scene.feature_dim).map(|channel| (0.0, feature_sigma(channel))).collect(),
         vec![(34.0, 18.0); SCALINGS_PER_ANCHOR],
@@ -89,11 +89,11 @@ pub(crate) fn candidates(scene: &AnchorScene) -> ContextCandidates {
             ],
         }
     };
-    let neighbours = [0, 1, 2].map(|group| Some(network(&groups[group], HIDDEN[group])));
+    let neighbors = [0, 1, 2].map(|group| Some(network(&groups[group], HIDDEN[group])));
     ContextCandidates {
         frame: robust_frame(&scene.cells),
         static_steps: [0.0; 3],
         position: [None, None, None],
-        planes: vec![PlaneContext { planes, own: [None, None, None], neighbours }],
+        planes: vec![PlaneContext { planes, own: [None, None, None], neighbors }],
     }
 }

@@ -103,7 +103,7 @@ fn bench(
         scene.gaussians(),
         scene.len() * OFFSETS,
         work.symbols(),
-        if context.is_some() { "planes and neighbours" } else { "tables a channel" },
+        if context.is_some() { "planes and neighbors" } else { "tables a channel" },
         counts.total,
         counts.features,
         counts.scalings,

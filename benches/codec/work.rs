@@ -46,7 +46,7 @@ impl Work {
         let products = crate::context::products(self.feature_dim as usize, self.offsets_per_anchor as usize);
         let (bytes, symbols) = match path.rsplit('/').next().unwrap_or(path) {
             // Floats become integers and integers floats, with the masks looked at.
-            "quantise" | "dequantise" => (8.0 * values + slots, values),
+            "quantize" | "dequantize" => (8.0 * values + slots, values),
             "order" => (cells + 16.0 * self.anchors, self.anchors),
             "positions" => (cells + counts.positions as f64, self.anchors),
             "masks" => (slots + counts.masks as f64, slots),
@@ -55,7 +55,7 @@ impl Work {
             "digest" => (cells + 4.0 * values + slots, 0.0),
             "section" => (2.0 * coded, 0.0),
             "container" => (2.0 * counts.total as f64, 0.0),
-            "neighbours" => (cells + 16.0 * self.anchors, self.anchors),
+            "neighbors" => (cells + 16.0 * self.anchors, self.anchors),
             "encode" | "decode" => (cells + 4.0 * values + slots + counts.total as f64, self.symbols()),
             _ => (0.0, 0.0),
         };

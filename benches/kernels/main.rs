@@ -6,7 +6,7 @@
 //! `TCGS_ADAPTER` chooses the adapter. Each figure is the minimum of several runs, which other load disturbs
 //! least. `share` is the larger of bytes against the copy's rate and operations against the arithmetic's.
 //!
-//! The rasteriser works on a shell of as many Gaussians as stated; the networks on a tenth as many anchors, ten offsets
+//! The rasterizer works on a shell of as many Gaussians as stated; the networks on a tenth as many anchors, ten offsets
 //! each, all visible; Adam on the anchors' rows. A step is all of it in one submission with nothing read back, in wall
 //! time; a plain step is one of as many plain Gaussians with spherical harmonics of degree 3. The checksums below a table change only if a kernel computes something else.
 
@@ -52,7 +52,7 @@ const STAGES: [&str; 8] =
 /// Minimum time of each part.
 type Times = BTreeMap<&'static str, Duration>;
 
-/// The stage of a kernel of the rasteriser; everything between projection and blending is sorting and listing.
+/// The stage of a kernel of the rasterizer; everything between projection and blending is sorting and listing.
 fn raster_stage(kernel: &str) -> &'static str {
     match kernel {
         "project" => "project",
@@ -190,13 +190,13 @@ impl Bench {
         let mut recorder = device.timed_recorder("networks");
         self.record_networks_forward(&mut recorder)?;
         take(&|_| "networks forward", recorder)?;
-        let mut recorder = device.timed_recorder("rasteriser");
+        let mut recorder = device.timed_recorder("rasterizer");
         self.record_raster_forward(&mut recorder)?;
         take(&raster_stage, recorder)?;
         let mut recorder = device.timed_recorder("loss");
         let v_image = self.record_loss(&mut recorder)?;
         take(&|_| "loss", recorder)?;
-        let mut recorder = device.timed_recorder("rasteriser");
+        let mut recorder = device.timed_recorder("rasterizer");
         self.record_raster_backward(&mut recorder, &v_image)?;
         take(&raster_stage, recorder)?;
         let mut recorder = device.timed_recorder("networks");
@@ -228,7 +228,7 @@ impl Bench {
             Ok::<_, RenderError>(self.device.read(buffer)?.into_iter().flatten().collect::<Vec<f32>>())
         };
         Ok(format!(
-            "image {:.6e}, by geometry {:.6e}, by colours {:.6e}, by rows {:.6e}, by networks {:.6e}",
+            "image {:.6e}, by geometry {:.6e}, by colors {:.6e}, by rows {:.6e}, by networks {:.6e}",
             checksum(&flat(self.rasterizer.image())?),
             checksum(&flat(&self.d_gaussians.geometry)?),
             checksum(&flat(&self.d_gaussians.colors)?),

@@ -1,7 +1,7 @@
 //! The synthetic scene: what a trained object looks like to the kernels.
 //!
 //! Gaussians lie on a shell, as on a surface: flat (a fifth as thick as wide), turned at random, about as wide as the
-//! distance to their neighbours, so that a few overlap at every point and the intersections of each with tiles are as
+//! distance to their neighbors, so that a few overlap at every point and the intersections of each with tiles are as
 //! many as in a trained scene of that number. The camera sees the whole shell and it fills most of the image. Half of
 //! the Gaussians face away and are hidden, as in a scene, but no less sorted and listed.
 

@@ -3,7 +3,7 @@
 //!
 //! Bytes are those of the stage's own inputs and outputs, each touched once, four a number: repeated reads and data
 //! passed between kernels of a stage do not count, and so lower their share. Operations are counted as if nothing
-//! were skipped inside a tile: a rasteriser that skips what does not reach a pixel does less than it is credited with.
+//! were skipped inside a tile: a rasterizer that skips what does not reach a pixel does less than it is credited with.
 
 use tcgs::{
     model::NetworkLayout,
@@ -46,7 +46,7 @@ impl Size {
         let row = SHAPE.row() as f64;
         let spawned = 11.0 * SHAPE.offsets as f64;
         let (floats, flops) = match stage {
-            // Place, size, rotation, colour in; place, conic, colour, depth, tiles out.
+            // Place, size, rotation, color in; place, conic, color, depth, tiles out.
             "project" => (16.0 * gaussians + 14.0 * visible, 200.0 * gaussians + 30.0 * slots),
             // Depth and index of the visible; tile and slot of each intersection; each read and written once a pass of
             // eight bits, of which depth takes four and tiles one or two.

@@ -1,12 +1,12 @@
 // The input of the context networks for each sampled anchor, column-major: bilinear samples of the three planes at the
-// anchor's neighbours (itself first), then its position prior (METHOD.md §4.3, §4.4). An invocation
-// computes one plane's samples at one neighbour, or the prior, of one anchor. A texel's position and fraction are integers
+// anchor's neighbors (itself first), then its position prior (METHOD.md §4.3, §4.4). An invocation
+// computes one plane's samples at one neighbor, or the prior, of one anchor. A texel's position and fraction are integers
 // of the decoder's arithmetic, so training samples exactly where the decoder does.
 #import tcgs::context::{PRIORS, corners, sample_weights}
 #import tcgs::spread::part_of
 
 struct Sampling {
-    // edge of a plane, channels of a plane, neighbours that are sampled, columns of a row
+    // edge of a plane, channels of a plane, neighbors that are sampled, columns of a row
     shape: vec4u,
     // first plane value, unused
     first: vec4u,
@@ -14,7 +14,7 @@ struct Sampling {
 
 @group(0) @binding(0) var<uniform> sampling: Sampling;
 @group(0) @binding(1) var<storage, read> list: array<u32>;
-@group(0) @binding(2) var<storage, read> neighbours: array<u32>;
+@group(0) @binding(2) var<storage, read> neighbors: array<u32>;
 @group(0) @binding(3) var<storage, read> texels: array<u32>;
 @group(0) @binding(4) var<storage, read> priors: array<f32>;
 @group(0) @binding(5) var<storage, read> planes: array<f32>;
@@ -47,8 +47,8 @@ fn context_input(
     }
     let slot = part / 3u;
     let plane = part - 3u * slot;
-    let neighbour = neighbours[anchor * sampled + slot];
-    let texel = texels[neighbour * 3u + plane];
+    let neighbor = neighbors[anchor * sampled + slot];
+    let texel = texels[neighbor * 3u + plane];
     let at = corners(texel, edge);
     let weights = sample_weights(texel);
     for (var channel = 0u; channel < channels; channel++) {

@@ -1,4 +1,4 @@
-// The rate of the attribute groups of the sampled anchors: bits of each quantised value under the distribution that the
+// The rate of the attribute groups of the sampled anchors: bits of each quantized value under the distribution that the
 // group's network predicts, with gradients by the network's outputs (stored) and by the rows (added to what is there).
 // Everything is in units of steps, so that a rounded value is its symbol.
 //
@@ -6,7 +6,7 @@
 #import tcgs::gaussian::symbol_bits
 #import tcgs::index::group_index
 #import tcgs::model::ROW
-#import tcgs::quantise::{Quantised, ROUNDED, quantise, quantise_scaling, scaling_of, stream_of, through_floor}
+#import tcgs::quantize::{Quantized, ROUNDED, quantize, quantize_scaling, scaling_of, stream_of, through_floor}
 #import tcgs::rate::{GROUPS, SPACING, STEP_OCTAVES, Settings, adjustment_of, is_number, spacings}
 
 const LOG_TWO: f32 = 0.69314718;
@@ -47,15 +47,15 @@ fn rate(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) lo
     let place = settings.group.z;
     let room = settings.room.x;
     let output = settings.group.w * room + sampled;
-    let phase = settings.quantisation.shape.y;
-    let stream = stream_of(settings.quantisation.shape.z, anchor);
+    let phase = settings.quantization.shape.y;
+    let stream = stream_of(settings.quantization.shape.z, anchor);
     let mask = masks[anchor];
     let weight = settings.weights.x;
 
     let adjustment = adjustment_of(outputs[output + 2u * channels * room], phase);
     let adjusts = adjustment.is_number;
     let octaves = adjustment.octaves;
-    let base_width = settings.quantisation.base[place];
+    let base_width = settings.quantization.base[place];
     let in_base = exp2(octaves);
     let width = base_width * in_base;
 
@@ -75,31 +75,31 @@ fn rate(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) lo
         let mean = outputs[mean_at] / in_base;
         let scale = outputs[scale_at];
         var value = row_value;
-        var quantised: Quantised;
+        var quantized: Quantized;
         if place == 1u {
             value = scaling_of(row_value);
-            quantised = quantise_scaling(phase, stream, column, value, width);
+            quantized = quantize_scaling(phase, stream, column, value, width);
         } else {
-            quantised = quantise(phase, stream, column, value, width);
+            quantized = quantize(phase, stream, column, value, width);
         }
-        let symbol = quantised.value / width;
+        let symbol = quantized.value / width;
         if is_kept && adjusts && is_number(row_value) && is_number(symbol) && is_number(mean) && is_number(scale) {
             // Octaves of steps, clamped to the decoder's range.
             let bounded = clamp(scale - octaves, FINEST, FINEST + f32(LAST) * SPACING);
             var coded = bounded;
-            var centre = mean;
+            var center = mean;
             if phase == ROUNDED {
                 let bounded_scale = clamp(scale, -100.0, 100.0);
                 coded = FINEST + SPACING * f32(clamp(spacings(bounded_scale) + 16 - adjustment.index, 0, LAST));
-                centre = floor(16.0 * mean + 0.5) / 16.0;
+                center = floor(16.0 * mean + 0.5) / 16.0;
             }
-            let found = symbol_bits(symbol, centre, exp2(coded), 1.0);
+            let found = symbol_bits(symbol, center, exp2(coded), 1.0);
             cost = found.x;
-            sum += min(cost, ESCAPE_BITS + 2.0 * log2(1.0 + abs(symbol - centre)));
+            sum += min(cost, ESCAPE_BITS + 2.0 * log2(1.0 + abs(symbol - center)));
             let by_value = clamp(found.y, -STEEPEST, STEEPEST);
             let by_coded = clamp(found.z, -STEEPEST, STEEPEST);
             by_mean = -by_value / in_base;
-            var by_adjustment = -LOG_TWO * by_value * (symbol - quantised.by_width - centre);
+            var by_adjustment = -LOG_TWO * by_value * (symbol - quantized.by_width - center);
             // Outside the bounds, only gradients that lead back inside pass.
             if bounded == scale - octaves {
                 by_scale = by_coded;

@@ -1,4 +1,4 @@
-// Sets the sampled anchors' quantisation steps of the attribute groups to the base steps times the networks' adjustments. An
+// Sets the sampled anchors' quantization steps of the attribute groups to the base steps times the networks' adjustments. An
 // adjustment that is not finite leaves its step unchanged; an overflowed forward pass leaves all unchanged.
 //
 // A separate kernel, because `rate` with the steps would bind more storage buffers than WebGPU allows.
@@ -24,8 +24,8 @@ fn refresh_quant_steps(@builtin(workgroup_id) group: vec3u, @builtin(local_invoc
     }
     let place = settings.group.z;
     let row = settings.group.w + 2u * settings.group.y;
-    let adjustment = adjustment_of(outputs[row * settings.room.x + sampled], settings.quantisation.shape.y);
+    let adjustment = adjustment_of(outputs[row * settings.room.x + sampled], settings.quantization.shape.y);
     if adjustment.is_number {
-        steps[3u * list[1u + sampled] + place] = settings.quantisation.base[place] * exp2(adjustment.octaves);
+        steps[3u * list[1u + sampled] + place] = settings.quantization.base[place] * exp2(adjustment.octaves);
     }
 }

@@ -34,26 +34,26 @@ fn image_gradient(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation
         let mean = slide(&by_mean, select(vec4f(0.0), d[0], counts));
         let square = slide(&by_squares, select(vec4f(0.0), d[1], counts));
         let apart = slide(&by_difference, select(vec4f(0.0), d[2], counts));
-        let centre = column - REACH;
-        if centre >= run.first {
-            let pixels = run.line * width + held(four(centre), width);
+        let center = column - REACH;
+        if center >= run.first {
+            let pixels = run.line * width + held(four(center), width);
             let to = 4u * pixels + run.channel;
             let packed = vec4u(photograph[pixels.x], photograph[pixels.y], photograph[pixels.z], photograph[pixels.w]);
             let x = vec4f(render[to.x], render[to.y], render[to.z], render[to.w]);
             let y = unpack(packed, run.channel);
-            let difference = select(vec4f(0.0), x - y, inside(four(centre), width));
+            let difference = select(vec4f(0.0), x - y, inside(four(center), width));
             absolute += abs(difference);
             squared += difference * difference;
             let d_ssim = mean + 2.0 * (x * square + (x - y) * apart);
             let gradient = image.weights.x * sign(difference) - image.weights.y * d_ssim;
             d_image[to.x] = gradient.x;
-            if centre + 1 < run.last {
+            if center + 1 < run.last {
                 d_image[to.y] = gradient.y;
             }
-            if centre + 2 < run.last {
+            if center + 2 < run.last {
                 d_image[to.z] = gradient.z;
             }
-            if centre + 3 < run.last {
+            if center + 3 < run.last {
                 d_image[to.w] = gradient.w;
             }
         }

@@ -39,17 +39,17 @@ fn ssim_columns(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_i
             slide(&squares, select(vec4f(0.0), moment[2], counts)),
             slide(&differences, select(vec4f(0.0), moment[3], counts)),
         );
-        let centres = rows - REACH;
-        ssim += select(vec4f(0.0), similar.ssim, centres >= vec4i(run.first) & centres < vec4i(run.last));
-        let derived = inside(centres, height);
+        let centers = rows - REACH;
+        ssim += select(vec4f(0.0), similar.ssim, centers >= vec4i(run.first) & centers < vec4i(run.last));
+        let derived = inside(centers, height);
         let sums = transpose(mat3x4f(
             slide(&by_mean, select(vec4f(0.0), similar.by_mean, derived)),
             slide(&by_squares, select(vec4f(0.0), similar.by_squares, derived)),
             slide(&by_difference, select(vec4f(0.0), similar.by_difference, derived)),
         ));
-        let centre = row - 2 * REACH;
-        if centre >= run.first {
-            let to = base + BLOCK * vec4u(four(centre));
+        let center = row - 2 * REACH;
+        if center >= run.first {
+            let to = base + BLOCK * vec4u(four(center));
             derivatives[to.x] = sums[0];
             derivatives[to.y] = sums[1];
             derivatives[to.z] = sums[2];

@@ -35,10 +35,10 @@ fn ssim_rows(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_inde
             slide(&squares, x * x + y * y),
             slide(&differences, (x - y) * (x - y)),
         ));
-        let centre = column - REACH;
-        if centre >= run.first {
+        let center = column - REACH;
+        if center >= run.first {
             // Some of the last four may lie beyond the image, but not beyond their block.
-            let to = places(image, run.channel, vec4u(four(centre))) + run.line * BLOCK;
+            let to = places(image, run.channel, vec4u(four(center))) + run.line * BLOCK;
             moments[to.x] = sums[0];
             moments[to.y] = sums[1];
             moments[to.z] = sums[2];

@@ -1,5 +1,5 @@
 // Gradients of `spawn_gaussians`: from the Gaussians back to the networks' outputs, the offsets and the log-scalings,
-// with the volume regulariser (weight times the mean product of scales over visible Gaussians) added. The gradients by the
+// with the volume regularizer (weight times the mean product of scales over visible Gaussians) added. The gradients by the
 // outputs overwrite the outputs.
 #import tcgs::anchor_view::View
 #import tcgs::geometry::{quat_row, scale_row}
@@ -34,7 +34,7 @@ fn spawn_gradient(
     let s = row + SCALING_COLUMN;
     let reach = exp(vec3f(rows[s], rows[s + 1u], rows[s + 2u]));
     let size = exp(vec3f(rows[s + 3u], rows[s + 4u], rows[s + 5u]));
-    // image.w carries the regulariser's weight.
+    // image.w carries the regularizer's weight.
     let volume_weight = view.image.w / max(f32(counts[1]), 1.0);
     var d_reach = vec3f(0.0);
     var d_size = vec3f(0.0);

@@ -5,7 +5,7 @@
 #import tcgs::model::{ROW, OFFSETS, SCALING_COLUMN, OFFSET_COLUMN, LIMIT, tanh_bounded}
 #import tcgs::spread::part_of
 
-// The rasteriser skips smaller opacities (METHOD.md §3.2).
+// The rasterizer skips smaller opacities (METHOD.md §3.2).
 const MIN_OPACITY: f32 = 1.0 / 255.0;
 
 @group(0) @binding(0) var<uniform> view: View;

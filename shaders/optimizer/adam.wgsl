@@ -2,7 +2,7 @@
 // is rates[i % rates_len]. A gradient that is not finite, or whose square would not be, leaves its element
 // untouched. If the forward pass overflowed, all are left untouched.
 //
-// An invocation updates four neighbours, so that they share one remainder: lanes divide integers one after the other.
+// An invocation updates four neighbors, so that they share one remainder: lanes divide integers one after the other.
 // Buffers end on 16 bytes, so the last four may reach past the elements but not past the buffer. What is there does not change.
 
 #import tcgs::finite::each_below

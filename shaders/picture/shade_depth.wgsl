@@ -1,11 +1,11 @@
-// Replaces each Gaussian's colour by its depth: the rasteriser then blends the expected depth times the pixel's alpha.
+// Replaces each Gaussian's color by its depth: the rasterizer then blends the expected depth times the pixel's alpha.
 
 #import tcgs::index::lane_index
 
 struct Depths {
     // The third row of the world-to-camera rotation; w is the depth of `eye`.
     forward: vec4f,
-    // The camera centre, rounded.
+    // The camera center, rounded.
     eye: vec4f,
     count: u32,
 }

@@ -18,7 +18,7 @@ fn gaussian_statistics(@builtin(workgroup_id) group: vec3u, @builtin(local_invoc
     if i >= view.count || overflow_flag[0] != 0u {
         return;
     }
-    // By the projected centre, tiles touched, radius.
+    // By the projected center, tiles touched, radius.
     let d = d_centers[i];
     if !(d.z > 0.0) {
         return;

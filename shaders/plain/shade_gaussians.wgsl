@@ -1,4 +1,4 @@
-// Plain Gaussians from their parameters: exponential of the log-scales, logistic of the opacity, and the colour of the
+// Plain Gaussians from their parameters: exponential of the log-scales, logistic of the opacity, and the color of the
 // spherical harmonics towards the camera, at least zero. Gaussians behind the near plane or too transparent to reach a pixel
 // get opacity zero, and their coefficients are not read.
 #import tcgs::geometry::{quat_row, scale_row}

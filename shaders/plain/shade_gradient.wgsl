@@ -1,4 +1,4 @@
-// Gradients of `shade_gaussians`: from the Gaussians back to their parameters. A colour depends on the direction too, so
+// Gradients of `shade_gaussians`: from the Gaussians back to their parameters. A color depends on the direction too, so
 // its gradient reaches the mean; a channel clamped at zero has no gradient. Culled Gaussians get zeros.
 //
 // On hardware, the rows of a workgroup's Gaussians pass through workgroup memory, so that neighboring lanes read and write

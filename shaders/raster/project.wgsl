@@ -10,7 +10,7 @@
 @group(0) @binding(1) var<storage, read> count: array<u32>;
 @group(0) @binding(2) var<storage, read> geometry: array<vec4f>;
 @group(0) @binding(3) var<storage, read> colors: array<vec4f>;
-// Three vectors a Gaussian: place, conic, colour.
+// Three vectors a Gaussian: place, conic, color.
 @group(0) @binding(4) var<storage, read_write> splats: array<vec4f>;
 @group(0) @binding(5) var<storage, read_write> depths: array<u32>;
 @group(0) @binding(6) var<storage, read_write> tiles: array<u32>;

@@ -1,5 +1,5 @@
 // Gradients of the visible Gaussians from those of their projections. On software adapters other rows are not written; elsewhere they
-// become zero, and lanes take neighbouring rows, since reads and writes by depth would be scattered.
+// become zero, and lanes take neighboring rows, since reads and writes by depth would be scattered.
 
 #import tcgs::view::{VISIBLE, View, to_camera}
 #import tcgs::geometry::{quat_row, scale_row}
@@ -94,7 +94,7 @@ fn project_one_backward(i: u32) {
     );
     let v_raw = (v_q - q * dot(q, v_q)) * inverse_norm;
 
-    // Rows: row_u = (f/z) (right - slope forward), and the projected centre.
+    // Rows: row_u = (f/z) (right - slope forward), and the projected center.
     let v_row_u = v_nu.x * scale.x * rx + v_nu.y * scale.y * ry + v_nu.z * scale.z * rr;
     let v_row_v = v_nv.x * scale.x * rx + v_nv.y * scale.y * ry + v_nv.z * scale.z * rr;
     let along = vec2f(dot(v_row_u, view.right.xyz), dot(v_row_v, view.down.xyz));

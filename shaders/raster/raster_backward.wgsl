@@ -18,7 +18,7 @@
 @group(0) @binding(5) var<storage, read> image: array<vec4f>;
 @group(0) @binding(6) var<storage, read> last: array<u32>;
 @group(0) @binding(7) var<storage, read> v_image: array<vec4f>;
-// Nine numbers a slot: centre (2), opacity, conic (3), colour (3).
+// Nine numbers a slot: center (2), opacity, conic (3), color (3).
 @group(0) @binding(8) var<storage, read_write> slot_gradients: array<f32>;
 
 #ifdef SUBGROUPS
@@ -52,7 +52,7 @@ struct Pixel {
 }
 
 struct Gradient {
-    // Centre (xy), opacity (z), first conic entry (w).
+    // Center (xy), opacity (z), first conic entry (w).
     a: vec4f,
     // Other conic entries (xy), red and green (zw).
     b: vec4f,

@@ -8,7 +8,7 @@
 @group(0) @binding(1) var<storage, read> ranges: array<vec2u>;
 @group(0) @binding(2) var<storage, read> list: array<u32>;
 @group(0) @binding(3) var<storage, read> splats: array<vec4f>;
-// Colour over the background, and the transmittance that is left.
+// Color over the background, and the transmittance that is left.
 @group(0) @binding(4) var<storage, read_write> image: array<vec4f>;
 // One more than the index in the tile's list of the last Gaussian that the pixel blended.
 @group(0) @binding(5) var<storage, read_write> last: array<u32>;

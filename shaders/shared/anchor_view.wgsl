@@ -5,7 +5,7 @@ struct View {
     row_x: vec4f,
     row_y: vec4f,
     row_z: vec4f,
-    // The camera centre, rounded; w is the reciprocal of the scene scale that the networks' distances are divided by
+    // The camera center, rounded; w is the reciprocal of the scene scale that the networks' distances are divided by
     center: vec4f,
     // fx, fy, cx, cy in pixels
     intrinsics: vec4f,
@@ -15,7 +15,7 @@ struct View {
     counts: vec4u,
 }
 
-// Camera coordinates of a world point, by its exact difference to the rounded centre (`tcgs::view::to_camera`).
+// Camera coordinates of a world point, by its exact difference to the rounded center (`tcgs::view::to_camera`).
 fn to_camera(view: View, p: vec3f) -> vec3f {
     let d = p - view.center.xyz;
     return vec3f(dot(view.row_x.xyz, d), dot(view.row_y.xyz, d), dot(view.row_z.xyz, d))

@@ -7,7 +7,7 @@ const SCALING_COLUMN: u32 = FEATURES;
 const OFFSET_COLUMN: u32 = FEATURES + 6u;
 const ROW: u32 = FEATURES + 6u + 3u * OFFSETS;
 
-// Rows of the networks' output: opacities, then seven covariance values an offset, then three colour values an offset.
+// Rows of the networks' output: opacities, then seven covariance values an offset, then three color values an offset.
 const COVARIANCE_OUT: u32 = OFFSETS;
 const COLOR_OUT: u32 = 8u * OFFSETS;
 

@@ -21,7 +21,7 @@ struct View {
     right: vec4f,
     down: vec4f,
     forward: vec4f,
-    // The camera centre, rounded; w is the near plane.
+    // The camera center, rounded; w is the near plane.
     eye: vec4f,
     // Half the width and height of the image in pixels.
     half_size: vec2f,
@@ -30,7 +30,7 @@ struct View {
     unused: u32,
 }
 
-// Camera coordinates of a world point, by its exact difference to the rounded centre (`tcgs::view::to_camera`).
+// Camera coordinates of a world point, by its exact difference to the rounded center (`tcgs::view::to_camera`).
 fn to_camera(view: View, mean: vec3f) -> vec3f {
     let d = mean - view.eye.xyz;
     return vec3f(dot(view.right.xyz, d), dot(view.down.xyz, d), dot(view.forward.xyz, d))

@@ -2,7 +2,7 @@
 
 // Shared by `rate` and `refresh_quant_steps`: their settings, and the decoding of a network's step adjustment.
 #import tcgs::finite::below
-#import tcgs::quantise::{Quantisation, ROUNDED}
+#import tcgs::quantize::{Quantization, ROUNDED}
 
 // Largest |log2(step / base step)|.
 const STEP_OCTAVES: f32 = 3.5;
@@ -18,7 +18,7 @@ const GROUPS: u32 = 3u;
 
 // Of one group.
 struct Settings {
-    quantisation: Quantisation,
+    quantization: Quantization,
     // first column in a row, channels, place among the groups, first row of outputs
     group: vec4u,
     // column capacity of the outputs, of the bits, unused, unused

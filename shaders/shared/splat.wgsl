@@ -1,9 +1,9 @@
 #define_import_path tcgs::splat
 
 // A Gaussian on the image plane is three vectors:
-// - place: centre in pixels (xy), effective opacity (z), level, the power at which alpha falls below 1/255 (w);
+// - place: center in pixels (xy), effective opacity (z), level, the power at which alpha falls below 1/255 (w);
 // - conic: A, B, C with power = 0.5 (A dx^2 + C dy^2) + B dx dy (xyz), horizontal half extent in pixels (w);
-// - colour: red, green, blue (xyz), vertical half extent in pixels (w).
+// - color: red, green, blue (xyz), vertical half extent in pixels (w).
 
 // Marks an empty list entry.
 const NONE: u32 = 0xffffffffu;
@@ -24,8 +24,8 @@ fn ridges_of(conic: vec3f) -> vec2f {
     return -conic.y / conic.xz;
 }
 
-// Whether the splat reaches alpha 1/255 anywhere in the rectangle of pixel centres from `low` to `high`: the least
-// power in a rectangle lies at the centre or on an edge that faces it.
+// Whether the splat reaches alpha 1/255 anywhere in the rectangle of pixel centers from `low` to `high`: the least
+// power in a rectangle lies at the center or on an edge that faces it.
 fn touches(place: vec4f, conic: vec3f, ridges: vec2f, low: vec2f, high: vec2f) -> bool {
     let near = low - place.xy;
     let far = high - place.xy;

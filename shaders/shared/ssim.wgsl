@@ -1,6 +1,6 @@
 #define_import_path tcgs::ssim
 
-// The 11-tap Gaussian window of SSIM, sigma 1.5, normalised (METHOD.md §1.2); symmetric, centre last.
+// The 11-tap Gaussian window of SSIM, sigma 1.5, normalized (METHOD.md §1.2); symmetric, center last.
 const REACH: i32 = 5;
 const TAPS: array<f32, 6> = array<f32, 6>(
     0.0010283801, 0.0075987581, 0.0360007721, 0.1093606895, 0.2130055377, 0.2660117249,
@@ -36,7 +36,7 @@ fn runs(image: Image, length: u32) -> u32 {
     return (length + image.size.z - 1u) / image.size.z;
 }
 
-// The run of an invocation: neighbours take neighbouring lines. Past the last run the channel is 3.
+// The run of an invocation: neighbors take neighboring lines. Past the last run the channel is 3.
 fn run_of(image: Image, index: u32, lines: u32, length: u32) -> Run {
     let runs = runs(image, length);
     let row = index / lines;
@@ -61,7 +61,7 @@ fn held(at: vec4i, length: u32) -> vec4u {
 }
 
 // Address of a field's sample of row 0. Rows follow one another within blocks of columns, so that a walk along a column is
-// contiguous in memory and neighbouring columns stay close. Rows are BLOCK apart; their number is a multiple of STRIDE.
+// contiguous in memory and neighboring columns stay close. Rows are BLOCK apart; their number is a multiple of STRIDE.
 fn places(image: Image, channel: u32, columns: vec4u) -> vec4u {
     let blocks = (image.size.x + BLOCK - 1u) / BLOCK;
     let rows = (image.size.y + 3u) / 4u * 4u;
@@ -91,7 +91,7 @@ fn slide(tail: ptr<function, Tail>, next: vec4f) -> vec4f {
         + TAPS[5] * vec4f(b.yzw, c.x);
 }
 
-// One channel of packed 8-bit colours.
+// One channel of packed 8-bit colors.
 fn unpack(packed: vec4u, channel: u32) -> vec4f {
     return vec4f((packed >> vec4u(8u * channel)) & vec4u(255u)) / 255.0;
 }

@@ -1,12 +1,12 @@
 #define_import_path tcgs::view
 
-// A camera, its image and the settings of the rasteriser.
+// A camera, its image and the settings of the rasterizer.
 struct View {
     // Rows of the world-to-camera rotation; w is the image of `eye`.
     right: vec4f,
     down: vec4f,
     forward: vec4f,
-    // The camera centre, rounded.
+    // The camera center, rounded.
     eye: vec4f,
     background: vec4f,
     focal: vec2f,
@@ -31,7 +31,7 @@ fn to_camera(view: View, mean: vec3f) -> vec3f {
         + vec3f(view.right.w, view.down.w, view.forward.w);
 }
 
-// Elements of the rasteriser's counters: pairs that the first overflowed pass required, or 0; passes completed before it;
+// Elements of the rasterizer's counters: pairs that the first overflowed pass required, or 0; passes completed before it;
 // Gaussians that touch a tile; pairs of the last pass.
 const REQUIRED: u32 = 0u;
 const COMPLETED: u32 = 1u;

@@ -1,7 +1,7 @@
 // Moves each block of keys and values to their places: digits, blocks and keys in order, so the sort is stable.
 //
 // A workgroup first sorts its block by the digit in workgroup memory, two bits at a time, each by a scan over the lanes. Then
-// neighbouring lanes write to neighbouring places.
+// neighboring lanes write to neighboring places.
 #import tcgs::blocks::{SortParams, LANES, ITEMS, BLOCK, block_of, blocks_of, lane_sums, sum_of_lanes}
 
 @group(0) @binding(0) var<uniform> params: SortParams;

@@ -18,15 +18,15 @@ pub(crate) struct Args {
     #[arg(short, long, value_name = "OUT.tcgs")]
     output: PathBuf,
 
-    /// Quantisation step of features
+    /// Quantization step of features
     #[arg(long, value_name = "X", default_value_t = wiring::FEATURE_STEP, value_parser = step)]
     feature_step: f32,
 
-    /// Quantisation step of scalings, as a fraction of the voxel
+    /// Quantization step of scalings, as a fraction of the voxel
     #[arg(long, value_name = "X", default_value_t = wiring::SCALING_STEP, value_parser = step)]
     scaling_step: f32,
 
-    /// Quantisation step of offsets
+    /// Quantization step of offsets
     #[arg(long, value_name = "X", default_value_t = wiring::OFFSET_STEP, value_parser = step)]
     offset_step: f32,
 }

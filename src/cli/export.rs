@@ -29,7 +29,7 @@ pub(crate) struct Args {
     #[arg(short, long, value_name = "OUT")]
     output: PathBuf,
 
-    /// The dataset that it was trained on: colours are fitted to renders from its training cameras, and the loss is measured on
+    /// The dataset that it was trained on: colors are fitted to renders from its training cameras, and the loss is measured on
     /// its held-out views. Without it, cameras on a sphere around the scene are used, which suits only objects seen from all
     /// sides
     #[arg(long)]
@@ -165,7 +165,7 @@ fn training_cameras(dataset: &Dataset) -> Vec<Camera> {
     dataset.split(Split::Train).map(|frame| frame.camera).collect()
 }
 
-/// Held-out views with their photographs over a colour.
+/// Held-out views with their photographs over a color.
 fn held_out(dataset: &Dataset, background: [u8; 3]) -> Result<Vec<(String, Camera, Image)>, Problem> {
     dataset
         .split(Split::Test)

@@ -83,7 +83,7 @@ mod tests {
             recordings: 4,
             submit: ms(8),
             wait: ms(80),
-            stages: [("loss", ms(4)), ("optimiser", ms(12))].into(),
+            stages: [("loss", ms(4)), ("optimizer", ms(12))].into(),
             kernels: [(("loss", "ssim_rows"), (8, ms(20))), (("loss", "ssim_columns"), (4, ms(20)))].into(),
         };
         let recordings = [("context fit".to_owned(), times.clone()), ("step".to_owned(), times)].into();
@@ -91,7 +91,7 @@ mod tests {
         let lines: Vec<_> = rows.iter().map(|row| (row.recording.as_str(), row.stage, row.kernel)).collect();
         let of = |recording| {
             let stages = [("loss", None), ("loss", Some("ssim_columns")), ("loss", Some("ssim_rows"))];
-            let ends = [("optimiser", None), ("submit", None), ("wait", None)];
+            let ends = [("optimizer", None), ("submit", None), ("wait", None)];
             stages.into_iter().chain(ends).map(move |(stage, kernel)| (recording, stage, kernel))
         };
         assert_eq!(lines, of("step").chain(of("context fit")).collect::<Vec<_>>());

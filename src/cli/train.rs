@@ -176,7 +176,7 @@ pub(super) fn text(metrics: &JobMetrics) -> String {
     };
     let lossless = figure(metrics.psnr_before_quantisation, 2, " dB");
     format!(
-        "test      PSNR {} (before quantisation {lossless})  SSIM {}{}  over {} views on {}\n\
+        "test      PSNR {} (before quantization {lossless})  SSIM {}{}  over {} views on {}\n\
          train     PSNR {}  SSIM {}  over {} views\n\
          size      {} bytes; {} anchors, {} Gaussians\n\
          time      {:.1} s training, {} steps, {:.2} steps/s; {:.2} s encoding, {:.2} s decoding\n{}\

@@ -1,7 +1,7 @@
 //! API keys.
 //!
 //! A key is `tcgs_`, forty random hex digits (160 bits) and eight of CRC-32C over the text before them. So secret scanners find
-//! leaked keys, and a mistyped key is recognised without a look into the database. Neither a key nor its hash is printed except by
+//! leaked keys, and a mistyped key is recognized without a look into the database. Neither a key nor its hash is printed except by
 //! the two `expose` methods.
 
 use std::{fmt, str::FromStr};

@@ -1,4 +1,4 @@
-//! Recognises a full disk among the causes of an error, whichever library reported it.
+//! Recognizes a full disk among the causes of an error, whichever library reported it.
 
 use std::error::Error;
 
@@ -42,7 +42,7 @@ mod tests {
     use crate::store::BlobError;
 
     #[test]
-    fn a_full_disk_is_recognised_through_the_layers() {
+    fn a_full_disk_is_recognized_through_the_layers() {
         for kind in [io::ErrorKind::StorageFull, io::ErrorKind::QuotaExceeded] {
             let full = || io::Error::from(kind);
             assert!(BlobError::Io(full()).is_disk_full());

@@ -42,7 +42,7 @@ pub enum MessageError {
 /// What a picture shows.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Channels {
-    /// Colours: bytes, 3 or 4 a pixel.
+    /// Colors: bytes, 3 or 4 a pixel.
     Color,
     /// Numbers: f32, little-endian, one a pixel.
     Scalars(ScalarKind),
@@ -62,7 +62,7 @@ pub struct RenderRequest {
 /// The head of a picture; its samples follow, row by row from the top.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub struct PictureHead {
-    /// Channels of a pixel: 3 or 4 of colours, 1 of numbers.
+    /// Channels of a pixel: 3 or 4 of colors, 1 of numbers.
     pub channels: u8,
 }
 

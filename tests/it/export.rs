@@ -446,7 +446,7 @@ fn a_file_of_another_program_in_version_4_is_what_its_compressed_ply_is() {
         let color = other.packed(index, 3);
         for (channel, ours) in scene.sh[index][0].into_iter().enumerate() {
             let theirs = other.between(index, 12 + channel, color >> (24 - 8 * channel) & 255, 255);
-            near(index, "colour", 0.5 + harmonic * f64::from(ours), harmonic * 0.5 / (0.15 * 255.0), theirs);
+            near(index, "color", 0.5 + harmonic * f64::from(ours), harmonic * 0.5 / (0.15 * 255.0), theirs);
         }
         let opacity = 1.0 / (1.0 + f64::from(-scene.opacity_logits[index]).exp());
         near(index, "opacity", opacity, 0.5 / 255.0, (f64::from(color & 255) / 255.0, 0.5 / 255.0));

@@ -208,7 +208,7 @@ fn text_sightings(model: &Path) -> Vec<Sighting> {
             let words: Vec<&str> = line.split_whitespace().collect();
             Sighting {
                 position: DVec3::from_array([1, 2, 3].map(|at: usize| words[at].parse().expect("a number"))),
-                color: [4, 5, 6].map(|at: usize| words[at].parse().expect("a colour")),
+                color: [4, 5, 6].map(|at: usize| words[at].parse().expect("a color")),
                 images: words[8..].chunks(2).map(|track| names[track[0]].clone()).collect(),
             }
         })
@@ -260,7 +260,7 @@ fn binary_sightings(model: &Path) -> Vec<Sighting> {
         .collect()
 }
 
-/// Differences between the colours of points and of the pixels that they fall on in the images that saw them,
+/// Differences between the colors of points and of the pixels that they fall on in the images that saw them,
 /// all channels, sorted.
 fn differences(dataset: &Dataset, sightings: &[Sighting], seen_by: impl Fn(&Camera) -> Camera) -> Vec<f64> {
     let frames: BTreeMap<&str, (Camera, Arc<Image>)> = dataset
@@ -284,7 +284,7 @@ fn differences(dataset: &Dataset, sightings: &[Sighting], seen_by: impl Fn(&Came
     differences
 }
 
-/// The colour at pixel coordinates, between the four pixels around it; `None` outside of their centres.
+/// The color at pixel coordinates, between the four pixels around it; `None` outside of their centers.
 fn color_at(image: &Image, x: f64, y: f64) -> Option<[f64; 3]> {
     let (x, y) = (x - 0.5, y - 0.5);
     let (left, top) = (x.floor(), y.floor());
@@ -337,7 +337,7 @@ fn cameras_see_the_points_where_the_photographs_show_them() {
     }
 }
 
-/// Two degrees are coarse; this sees half a pixel, as a wrong convention of pixel centres would give.
+/// Two degrees are coarse; this sees half a pixel, as a wrong convention of pixel centers would give.
 #[test]
 fn points_match_best_without_any_shift_of_the_image() {
     for (set, model) in MODELS {

@@ -48,8 +48,8 @@ fn the_reader_takes_the_bundled_scene_as_folder_and_as_zip() {
     check_colors(&from_directory);
 }
 
-/// The points, projected by the cameras that were read, land on pixels of their colours; turned by five degrees they
-/// do not. A mistake in any convention on the way (axes, rows, pixel centres) would show here.
+/// The points, projected by the cameras that were read, land on pixels of their colors; turned by five degrees they
+/// do not. A mistake in any convention on the way (axes, rows, pixel centers) would show here.
 fn check_colors(dataset: &Dataset) {
     let straight = median_difference(dataset, |camera| *camera);
     let turned = median_difference(dataset, |camera| {
@@ -62,7 +62,7 @@ fn check_colors(dataset: &Dataset) {
                 .expect("a pose");
         Camera { pose, ..*camera }
     });
-    assert!(straight < 20, "the median colour difference is {straight}");
+    assert!(straight < 20, "the median color difference is {straight}");
     assert!(turned > 2 * straight, "turned by five degrees it is {turned}, not much more than {straight}");
 }
 

@@ -30,7 +30,7 @@ use tokio_util::sync::CancellationToken;
 
 use crate::support::{eventually::within, fakes};
 
-/// Renders one colour that depends on the scene's file and on the identity, and notes which files it was asked for.
+/// Renders one color that depends on the scene's file and on the identity, and notes which files it was asked for.
 #[derive(Debug)]
 struct Painter {
     identity: String,

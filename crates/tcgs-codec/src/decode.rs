@@ -9,9 +9,9 @@ use super::{
     error::{DecodeError, Result},
     manifest::Manifest,
     masks,
-    networks::{self, QuantisedNetworks},
+    networks::{self, QuantizedNetworks},
     positions,
-    quantise::{self, Symbols},
+    quantize::{self, Symbols},
     sections,
     shape::{Attribute, Shape},
     view,
@@ -19,7 +19,7 @@ use super::{
 use crate::domain::{
     AnchorScene, Digest, NearPlane, SceneFrame, SceneScale,
     anchors::SCALINGS_PER_ANCHOR,
-    context_model::{ContextKind, NEIGHBOURS},
+    context_model::{ContextKind, NEIGHBORS},
 };
 
 /// Limits on the files that a caller accepts.
@@ -82,24 +82,24 @@ pub fn decode(bytes: &[u8], limits: &DecodeLimits) -> Result<Decoded> {
     decode_with(bytes, limits, None)
 }
 
-/// Neighbours of cells as the encoder found them. They depend on the cells alone, so decoding the same cells needs no second search.
-pub(super) struct KnownNeighbours<'a> {
+/// Neighbors of cells as the encoder found them. They depend on the cells alone, so decoding the same cells needs no second search.
+pub(super) struct KnownNeighbors<'a> {
     pub(super) cells: &'a [[i32; 3]],
     /// Of each cell.
-    pub(super) neighbours: Vec<[u32; NEIGHBOURS]>,
+    pub(super) neighbors: Vec<[u32; NEIGHBORS]>,
 }
 
-/// As [`decode`], without a search for neighbours that are known.
+/// As [`decode`], without a search for neighbors that are known.
 pub(super) fn decode_with(
     bytes: &[u8],
     limits: &DecodeLimits,
-    known: Option<KnownNeighbours<'_>>,
+    known: Option<KnownNeighbors<'_>>,
 ) -> Result<Decoded> {
     let _stage = tracing::debug_span!("decode").entered();
     let Content { manifest, networks, symbols, near, scene_scale, frame, .. } =
         read_with(bytes, limits, known)?;
     let scene =
-        AnchorScene { near, scene_scale, frame, ..quantise::dequantise(symbols, &networks, &manifest) };
+        AnchorScene { near, scene_scale, frame, ..quantize::dequantize(symbols, &networks, &manifest) };
     let decode_sha256 = decode_digest(&scene);
     if decode_sha256 != manifest.decode_sha256 {
         return Err(DecodeError::DecodeDigest { stated: manifest.decode_sha256, actual: decode_sha256 });
@@ -110,7 +110,7 @@ pub(super) fn decode_with(
 /// A file's integers with the models that predicted them.
 pub(super) struct Content {
     pub(super) manifest: Manifest,
-    pub(super) networks: QuantisedNetworks,
+    pub(super) networks: QuantizedNetworks,
     pub(super) symbols: Symbols,
     pub(super) models: [GroupModel; 3],
     pub(super) anchors: AnchorContext,
@@ -122,12 +122,12 @@ pub(super) struct Content {
     pub(super) frame: SceneFrame,
 }
 
-/// Reads everything as integers, without dequantising.
+/// Reads everything as integers, without dequantizing.
 pub(super) fn read(bytes: &[u8], limits: &DecodeLimits) -> Result<Content> {
     read_with(bytes, limits, None)
 }
 
-fn read_with(bytes: &[u8], limits: &DecodeLimits, known: Option<KnownNeighbours<'_>>) -> Result<Content> {
+fn read_with(bytes: &[u8], limits: &DecodeLimits, known: Option<KnownNeighbors<'_>>) -> Result<Content> {
     let stage = tracing::Span::current();
     check_limit("file bytes", bytes.len() as u64, limits.max_file_bytes)?;
     let container = Container::parse(bytes)?;
@@ -192,12 +192,12 @@ fn context(
     manifest: &Manifest,
     cells: &[[i32; 3]],
     limits: &DecodeLimits,
-    known: Option<KnownNeighbours<'_>>,
+    known: Option<KnownNeighbors<'_>>,
 ) -> Result<([Option<BaseModel>; 3], AnchorContext)> {
     let kinds = manifest.kinds();
     let any = |wanted: fn(ContextKind) -> bool| kinds.iter().flatten().any(|kind| wanted(*kind));
     let samples = any(|kind| kind.sampled() > 0);
-    let neighbours = any(|kind| kind.sampled() > 1);
+    let neighbors = any(|kind| kind.sampled() > 1);
     let context = container.section_if(any(|_| true), sections::CONTEXT)?;
     let planes = container.section_if(samples, sections::PLANES)?;
     let Some(context) = context else { return Ok(([None, None, None], AnchorContext::default())) };
@@ -216,17 +216,17 @@ fn context(
         let (part, what) = ("context", "multiplications for all anchors");
         return Err(DecodeError::malformed(part, what, work));
     }
-    let memory = cells.len() as u64 * AnchorContext::bytes_per_anchor(channels, neighbours);
+    let memory = cells.len() as u64 * AnchorContext::bytes_per_anchor(channels, neighbors);
     check_limit("bytes of memory for the context", memory, limits.max_memory_bytes)?;
 
     let mut anchors = AnchorContext::new(&layout.frame, cells);
     if let Some(planes) = planes {
         anchors.sample(&planes.texels());
     }
-    if neighbours {
-        match known.filter(|known| known.cells == cells && known.neighbours.len() == cells.len()) {
-            Some(known) => anchors.set_neighbours(known.neighbours),
-            None => anchors.find_neighbours(cells),
+    if neighbors {
+        match known.filter(|known| known.cells == cells && known.neighbors.len() == cells.len()) {
+            Some(known) => anchors.set_neighbors(known.neighbors),
+            None => anchors.find_neighbors(cells),
         }
     }
     Ok((networks.map(|network| network.map(BaseModel::Network)), anchors))
@@ -261,7 +261,7 @@ fn join(
 }
 
 /// Bytes that decoding takes at its peak: integers, step indices and floats of the attributes, a mask byte an
-/// offset, cells, and two levels of the octree with a code, six neighbours and a family a node.
+/// offset, cells, and two levels of the octree with a code, six neighbors and a family a node.
 fn memory(manifest: &Manifest) -> u64 {
     let values = manifest.feature_dim + SCALINGS_PER_ANCHOR + 3 * manifest.offsets_per_anchor;
     let anchor = 2 * 4 * values + 3 + manifest.offsets_per_anchor + 12 + 2 * 40;

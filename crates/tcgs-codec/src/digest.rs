@@ -18,7 +18,7 @@ const BLOCK: usize = 1 << 12;
 /// 1. N, F, K as u64; voxel and the origin's x, y, z as f32;
 /// 2. for each run of 4096 anchors in order, the last of what is left, the SHA-256 of the run's cells as i32
 ///    `[n][3]`; features, scalings, offsets as f32 `[n][F]`, `[n][6]`, `[n][K][3]`; masks as one byte each, `[n][K]`;
-/// 3. opacity, covariance and colour network, each: number of layers as u64, then a layer's inputs and outputs
+/// 3. opacity, covariance and color network, each: number of layers as u64, then a layer's inputs and outputs
 ///    as u64, its weights as f32 `[outputs][inputs]`, its bias as f32 `[outputs]`.
 #[must_use]
 pub fn decode_digest(scene: &AnchorScene) -> Digest {

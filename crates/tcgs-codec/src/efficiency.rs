@@ -77,7 +77,7 @@ pub fn efficiency(
             let mlp = match kind {
                 ContextKind::Position => candidates.position[group].as_ref(),
                 ContextKind::TriPlane => planes.and_then(|set| set.own[group].as_ref()),
-                ContextKind::TriPlaneKnn => planes.and_then(|set| set.neighbours[group].as_ref()),
+                ContextKind::TriPlaneKnn => planes.and_then(|set| set.neighbors[group].as_ref()),
             };
             network_bits[group] = mlp.map(|mlp| NetworkBits {
                 integers: by_tables(&content, attribute, &content.models[group].base.clone().into()),

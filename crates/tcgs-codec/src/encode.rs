@@ -2,16 +2,16 @@
 
 use super::{
     EncodeSettings, Encoded, attributes, container,
-    decode::{DecodeLimits, KnownNeighbours, decode_with},
+    decode::{DecodeLimits, KnownNeighbors, decode_with},
     digest::decode_digest,
     error::EncodeError,
     inspect::inspect,
     manifest::{ColorSpace, MAX_FEATURE_DIM, MAX_OFFSETS, Manifest, QuantSteps, WorldFrame},
     masks,
-    networks::{self, QuantisedNetworks},
+    networks::{self, QuantizedNetworks},
     positions,
     precision::{self, Activation},
-    quantise::{self, Symbols},
+    quantize::{self, Symbols},
     search::{self, Anchors},
     sections::{self, SectionId},
     view,
@@ -62,7 +62,7 @@ pub fn encode(
         || stage.in_scope(|| search::choose(&anchors, context, &settings.context)),
         || {
             stage.in_scope(|| {
-                let networks = quantise_networks(scene);
+                let networks = quantize_networks(scene);
                 let rest =
                     [networks::encode(&networks), positions::encode(&ordered), masks::encode(&masks, k)];
                 (networks, rest)
@@ -79,7 +79,7 @@ pub fn encode(
         groups: [features.0, scalings.0, offsets.0],
         step_indices: [features.1, scalings.1, offsets.1],
     };
-    let expected = quantise::dequantise(symbols, &networks, &manifest);
+    let expected = quantize::dequantize(symbols, &networks, &manifest);
     manifest.decode_sha256 = decode_digest(&expected);
     let [networks, positions, masks] = rest;
     let payload = [
@@ -93,7 +93,7 @@ pub fn encode(
     ];
     let bytes = assemble_sections(&manifest, payload, scene);
 
-    let known = KnownNeighbours { cells: &expected.cells, neighbours: chosen.neighbours };
+    let known = KnownNeighbors { cells: &expected.cells, neighbors: chosen.neighbors };
     let decoded = decode_with(&bytes, &DecodeLimits::NONE, Some(known)).map_err(EncodeError::ReadBack)?;
     // The hash covers every other value.
     let view = |scene: &AnchorScene| (scene.near, scene.scene_scale, scene.frame);
@@ -185,12 +185,12 @@ fn check_counts(scene: &AnchorScene) -> Result<(), EncodeError> {
     Ok(())
 }
 
-fn quantise_networks(scene: &AnchorScene) -> QuantisedNetworks {
+fn quantize_networks(scene: &AnchorScene) -> QuantizedNetworks {
     let _stage = tracing::debug_span!("networks").entered();
     let inputs = precision::sample_inputs(scene);
-    QuantisedNetworks([
-        precision::quantise(&scene.networks.opacity, Activation::Tanh, &inputs),
-        precision::quantise(&scene.networks.covariance, Activation::Covariance, &inputs),
-        precision::quantise(&scene.networks.color, Activation::Logistic, &inputs),
+    QuantizedNetworks([
+        precision::quantize(&scene.networks.opacity, Activation::Tanh, &inputs),
+        precision::quantize(&scene.networks.covariance, Activation::Covariance, &inputs),
+        precision::quantize(&scene.networks.color, Activation::Logistic, &inputs),
     ])
 }

@@ -17,7 +17,7 @@ pub enum EncodeError {
     /// No anchor has an offset that is kept.
     #[error("the scene has no anchor with a kept offset: there is nothing to encode")]
     Empty,
-    /// A quantisation step or lattice value that no decoder could use.
+    /// A quantization step or lattice value that no decoder could use.
     #[error("{name} is {value}: it must be a positive, finite number of ordinary size")]
     Setting {
         /// Which one.
@@ -44,7 +44,7 @@ pub enum EncodeError {
         index: usize,
         /// The value.
         value: f32,
-        /// The quantisation step.
+        /// The quantization step.
         step: f32,
     },
     /// A scaling below zero.
@@ -69,8 +69,8 @@ pub enum EncodeError {
         /// The cell.
         cell: [i32; 3],
     },
-    /// The written file does not decode to what was quantised: a bug of this program.
-    #[error("the written file does not decode to the quantised scene; please report this")]
+    /// The written file does not decode to what was quantized: a bug of this program.
+    #[error("the written file does not decode to the quantized scene; please report this")]
     Verification,
     /// The written file does not decode at all: a bug of this program, or a scene beyond the decoder's limits.
     #[error("the written file cannot be read back: {0}")]

@@ -60,10 +60,10 @@ fn read<T: serde::de::DeserializeOwned>(settings: &Value, name: &str) -> Option<
 /// The context of one attribute group.
 fn context(group: &str, context: &GroupContext, regression: Option<u64>) -> Explanation {
     let inputs = match context.kind {
-        None => "tables: position no, planes no, neighbours no",
-        Some(ContextKind::Position) => "position yes, planes no, neighbours no",
-        Some(ContextKind::TriPlane) => "position yes, planes yes, neighbours no",
-        Some(ContextKind::TriPlaneKnn) => "position yes, planes yes, neighbours yes",
+        None => "tables: position no, planes no, neighbors no",
+        Some(ContextKind::Position) => "position yes, planes no, neighbors no",
+        Some(ContextKind::TriPlane) => "position yes, planes yes, neighbors no",
+        Some(ContextKind::TriPlaneKnn) => "position yes, planes yes, neighbors yes",
     };
     let value = format!("{inputs}, regression {}", if regression.is_some() { "yes" } else { "no" });
     let bytes = context.bytes;
@@ -71,7 +71,7 @@ fn context(group: &str, context: &GroupContext, regression: Option<u64>) -> Expl
         ("tables", bytes.tables),
         ("position", bytes.position),
         ("planes", bytes.tri_plane),
-        ("planes and neighbours", bytes.tri_plane_knn),
+        ("planes and neighbors", bytes.tri_plane_knn),
     ]
     .iter()
     .filter_map(|(name, bytes)| bytes.map(|bytes| format!("{bytes} with {name}")))

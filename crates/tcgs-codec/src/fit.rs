@@ -11,7 +11,7 @@ use super::{
 /// Stored in place of a scale's index where all symbols are equal.
 const CONSTANT: u8 = SCALES as u8;
 
-/// Scales tried first; the neighbourhood of the best is searched afterwards.
+/// Scales tried first; the neighborhood of the best is searched afterwards.
 const COARSE: usize = 4;
 
 /// The distribution for `symbols`; without any symbol, the constant zero.

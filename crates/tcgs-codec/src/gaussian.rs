@@ -28,11 +28,11 @@ pub(super) struct Gaussian {
 
 impl Gaussian {
     /// The integer of the table's middle entry: the mean rounded down.
-    pub(super) fn centre(self) -> i32 {
+    pub(super) fn center(self) -> i32 {
         self.mean16 >> 4
     }
 
-    /// The counts around the centre, made on first use.
+    /// The counts around the center, made on first use.
     pub(super) fn table(self) -> &'static Table {
         static TABLES: [OnceLock<Table>; SCALES * PHASES] = [const { OnceLock::new() }; SCALES * PHASES];
         let phase = (self.mean16 & 15) as usize;
@@ -47,7 +47,7 @@ const LOOKUP_BITS: usize = 9;
 
 const LOOKUP_SHIFT: u32 = (GAUSSIAN_PRECISION - LOOKUP_BITS) as u32;
 
-/// Cumulative counts of the integers from `-radius` to `radius` around a centre, then of the escape.
+/// Cumulative counts of the integers from `-radius` to `radius` around a center, then of the escape.
 #[derive(Debug)]
 pub(super) struct Table {
     radius: i32,
@@ -80,7 +80,7 @@ impl Table {
         Self { radius: radius as i32, starts, lookup }
     }
 
-    /// Largest distance from the centre that has its own entry.
+    /// Largest distance from the center that has its own entry.
     pub(super) fn radius(&self) -> i32 {
         self.radius
     }

@@ -7,7 +7,7 @@
 pub(super) const SCALES: usize = 64;
 
 /// `INVERSE_SCALE[s] = round(2^((816 - 7 s) / 32))`, that is 2^22 divided by the standard deviation
-/// `2^(-3.5 + 7 s / 32)` in quantisation steps: 0.088 to 1244.
+/// `2^(-3.5 + 7 s / 32)` in quantization steps: 0.088 to 1244.
 #[rustfmt::skip]
 pub(super) const INVERSE_SCALE: [u32; SCALES] = [
     47453133, 40776935, 35040014, 30110222, 25874004, 22233781, 19105703, 16417715,

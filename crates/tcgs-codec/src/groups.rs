@@ -10,7 +10,7 @@ use super::{
     context::{AnchorContext, BaseModel, ContextNetwork, GroupModel, GroupRegression, Predictions},
     error::EncodeError,
     fit,
-    quantise::Quantiser,
+    quantize::Quantizer,
     range::StreamEncoder,
     shape::Shape,
 };
@@ -18,7 +18,7 @@ use super::{
 /// Codes one attribute group of a scene.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct GroupCoder<'a> {
-    pub(super) quantiser: Quantiser<'a>,
+    pub(super) quantizer: Quantizer<'a>,
     pub(super) shape: Shape,
     /// `[N][K]`, in file order.
     pub(super) masks: &'a [bool],
@@ -34,12 +34,12 @@ type CodedChunk = (Vec<u8>, Vec<i32>, Vec<i8>);
 impl GroupCoder<'_> {
     /// Channels of the group.
     pub(super) fn channels(&self) -> usize {
-        self.shape.channels(self.quantiser.attribute)
+        self.shape.channels(self.quantizer.attribute)
     }
 
     /// Whether a symbol is in the file.
     pub(super) fn is_coded(&self, anchor: usize, channel: usize) -> bool {
-        is_coded(self.masks, self.shape, anchor, self.quantiser.attribute, channel)
+        is_coded(self.masks, self.shape, anchor, self.quantizer.attribute, channel)
     }
 
     /// Codes the group with the best table for each channel and steps of index `step_index`.
@@ -51,7 +51,7 @@ impl GroupCoder<'_> {
             .par_chunks_mut(channels)
             .enumerate()
             .with_min_len(1024)
-            .try_for_each(|(anchor, row)| self.quantiser.row(anchor, step_index, row))?;
+            .try_for_each(|(anchor, row)| self.quantizer.row(anchor, step_index, row))?;
         let fitted = (0..channels)
             .into_par_iter()
             .map(|channel| {
@@ -121,7 +121,7 @@ impl GroupCoder<'_> {
         Ok(bytes * self.shape.anchors as u64 / anchors.max(1) as u64)
     }
 
-    /// Quantises by the steps that the model chooses, and codes.
+    /// Quantizes by the steps that the model chooses, and codes.
     fn encode_chunk(&self, chunk: &Range<usize>, model: &GroupModel) -> Result<CodedChunk, EncodeError> {
         let channels = self.channels();
         let mut symbols = vec![0; chunk.len() * channels];
@@ -130,7 +130,7 @@ impl GroupCoder<'_> {
         let mut predictions = model.predictions(self.anchors);
         for (anchor, row) in chunk.clone().zip(symbols.chunks_mut(channels)) {
             let step_index = predictions.begin(anchor);
-            self.quantiser.row(anchor, step_index, row)?;
+            self.quantizer.row(anchor, step_index, row)?;
             self.encode_row(anchor, row, &mut predictions, &mut stream);
             step_indices.push(step_index);
         }

@@ -178,7 +178,7 @@ fn map_section(section: &Section<'_>, manifest: &Manifest, map: &mut Map) -> Res
         sections::MANIFEST => {
             map.push(length, ByteGroup::Container, "manifest: counts, lattice, steps, contexts, provenance")
         }
-        sections::NETWORKS => map.push(length, ByteGroup::Networks, "opacity, covariance and colour network"),
+        sections::NETWORKS => map.push(length, ByteGroup::Networks, "opacity, covariance and color network"),
         sections::POSITIONS => map.push(length, ByteGroup::Positions, "occupancy octree of the anchor cells"),
         sections::MASKS => map.push(length, ByteGroup::Masks, "which offsets make a Gaussian"),
         sections::CONTEXT => {
@@ -301,7 +301,7 @@ impl fmt::Display for Inspection {
             ("offset step", manifest.steps.offset.to_string()),
             ("background", manifest.background.to_string()),
             ("world", "the dataset's own; cameras in OpenCV axes".to_owned()),
-            ("colour space", "sRGB".to_owned()),
+            ("color space", "sRGB".to_owned()),
             ("content SHA-256", self.content_sha256.to_string()),
             ("decode SHA-256", manifest.decode_sha256.to_string()),
             ("generator", manifest.provenance.generator.clone()),
@@ -326,7 +326,7 @@ impl fmt::Display for Inspection {
             writeln!(f, "{name:<13} {bytes:>10} {share:>6.2}% {each:>13.3}")?;
         }
 
-        let columns = ["tables", "position", "tri-plane", "and neighbours"];
+        let columns = ["tables", "position", "tri-plane", "and neighbors"];
         write!(f, "\n{:<12} {:<14}", "context", "chosen")?;
         columns.iter().chain([&"regression"]).try_for_each(|column| write!(f, " {column:>14}"))?;
         writeln!(f, "   bytes with network, without planes")?;

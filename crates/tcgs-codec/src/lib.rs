@@ -17,7 +17,7 @@
 //!
 //! **Result.** [`Decoded`] holds the [`AnchorScene`] (anchors in Morton order, all arrays anchor-major) and the [`Manifest`].
 //! Positions and scalings are in the world units of the training cameras, [`Manifest::world_frame`] names the axes;
-//! scalings are linear and multiply the offsets. Opacities, colours and covariances of the Gaussians come from the scene's
+//! scalings are linear and multiply the offsets. Opacities, colors and covariances of the Gaussians come from the scene's
 //! three networks, given an anchor's features and the view direction. `docs/DECODER.md` walks through it.
 //!
 //! **Untrusted bytes.** A count is checked against the bytes left and the caller's [`DecodeLimits`] before anything is
@@ -52,7 +52,7 @@ mod morton;
 mod networks;
 mod positions;
 mod precision;
-mod quantise;
+mod quantize;
 mod range;
 mod regression_fit;
 mod search;
@@ -98,7 +98,7 @@ impl Provenance {
     }
 }
 
-/// How finely attributes are quantised.
+/// How finely attributes are quantized.
 #[derive(Debug, Clone, PartialEq)]
 pub struct EncodeSettings {
     /// Background that the scene was trained on.

@@ -23,7 +23,7 @@ pub(super) const MAX_OFFSETS: usize = 64;
 /// Most anchors in a chunk.
 const MAX_CHUNK: usize = 1 << 16;
 
-/// Absolute quantisation steps: a decoded value is an integer times its step.
+/// Absolute quantization steps: a decoded value is an integer times its step.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct QuantSteps {
     /// Of features.
@@ -55,7 +55,7 @@ pub struct GroupCosts {
     pub position: Option<u64>,
     /// With the best network that is given samples of the planes too.
     pub tri_plane: Option<u64>,
-    /// With the best network that is given those of the neighbours too.
+    /// With the best network that is given those of the neighbors too.
     pub tri_plane_knn: Option<u64>,
 }
 
@@ -97,7 +97,7 @@ impl GroupContext {
     }
 }
 
-/// Colour space of decoded colours.
+/// Color space of decoded colors.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum ColorSpace {
@@ -128,13 +128,13 @@ pub struct Manifest {
     pub chunk_anchors: usize,
     /// Where cells are in the world.
     pub lattice: Lattice,
-    /// Quantisation steps.
+    /// Quantization steps.
     pub steps: QuantSteps,
     /// How features, scalings and offsets are predicted.
     pub contexts: [GroupContext; 3],
     /// Frame of the world.
     pub world_frame: WorldFrame,
-    /// Colour space.
+    /// Color space.
     pub color_space: ColorSpace,
     /// Background that the scene was trained on.
     pub background: Background,
@@ -218,9 +218,9 @@ impl Manifest {
                 0 => WorldFrame::Dataset,
                 other => return Err(reader.malformed("world frame", other)),
             },
-            color_space: match reader.u8("colour space")? {
+            color_space: match reader.u8("color space")? {
                 0 => ColorSpace::Srgb,
-                other => return Err(reader.malformed("colour space", other)),
+                other => return Err(reader.malformed("color space", other)),
             },
             background: match reader.u8("background")? {
                 0 => Background::Black,

@@ -37,7 +37,7 @@ const MAX_SCALE: i32 = 0x7f7f;
 
 /// A dense layer of integers.
 #[derive(Debug, Clone, PartialEq)]
-pub(super) struct QuantisedLayer {
+pub(super) struct QuantizedLayer {
     inputs: usize,
     outputs: usize,
     /// Upper 16 bits of each row's f32 scale.
@@ -48,20 +48,20 @@ pub(super) struct QuantisedLayer {
 }
 
 /// Layers of one network.
-pub(super) type QuantisedMlp = Vec<QuantisedLayer>;
+pub(super) type QuantizedMlp = Vec<QuantizedLayer>;
 
-/// Opacity, covariance and colour network.
+/// Opacity, covariance and color network.
 #[derive(Debug, Clone, PartialEq)]
-pub(super) struct QuantisedNetworks(pub(super) [QuantisedMlp; 3]);
+pub(super) struct QuantizedNetworks(pub(super) [QuantizedMlp; 3]);
 
-impl QuantisedNetworks {
+impl QuantizedNetworks {
     /// The networks as floats.
-    pub(super) fn dequantise(&self) -> RenderNetworks {
+    pub(super) fn dequantize(&self) -> RenderNetworks {
         let [opacity, covariance, color] = &self.0;
         RenderNetworks {
-            opacity: dequantise(opacity),
-            covariance: dequantise(covariance),
-            color: dequantise(color),
+            opacity: dequantize(opacity),
+            covariance: dequantize(covariance),
+            color: dequantize(color),
         }
     }
 }
@@ -82,12 +82,12 @@ pub(super) fn check(networks: &RenderNetworks) -> Result<(), EncodeError> {
     Ok(())
 }
 
-/// Quantises a network with weights of magnitude up to `levels`.
-pub(super) fn quantise(mlp: &Mlp, levels: u16) -> QuantisedMlp {
-    mlp.layers.iter().map(|layer| quantise_layer(layer, f32::from(levels))).collect()
+/// Quantizes a network with weights of magnitude up to `levels`.
+pub(super) fn quantize(mlp: &Mlp, levels: u16) -> QuantizedMlp {
+    mlp.layers.iter().map(|layer| quantize_layer(layer, f32::from(levels))).collect()
 }
 
-fn quantise_layer(layer: &DenseLayer, levels: f32) -> QuantisedLayer {
+fn quantize_layer(layer: &DenseLayer, levels: f32) -> QuantizedLayer {
     let mut row_scales: Vec<i32> =
         layer.weights.chunks(layer.inputs).map(|row| row_scale(row, levels)).collect();
     // A row of zeros may have any scale; the layer's largest costs fewer bits than an outlier.
@@ -101,7 +101,7 @@ fn quantise_layer(layer: &DenseLayer, levels: f32) -> QuantisedLayer {
         .collect();
     let bias_scale = largest(&layer.bias) / BIAS_LEVELS;
     let bias = layer.bias.iter().map(|bias| nearest(*bias, bias_scale, BIAS_LEVELS)).collect();
-    QuantisedLayer { inputs: layer.inputs, outputs: layer.outputs, row_scales, weights, bias_scale, bias }
+    QuantizedLayer { inputs: layer.inputs, outputs: layer.outputs, row_scales, weights, bias_scale, bias }
 }
 
 /// The least scale at which no weight exceeds its levels; but where the row has been rounded before, the scale of then,
@@ -133,8 +133,8 @@ fn from_upper_half(bits: i32) -> f32 {
 }
 
 /// A network as its decoder will have it.
-pub(super) fn dequantise(mlp: &QuantisedMlp) -> Mlp {
-    let layer = |layer: &QuantisedLayer| DenseLayer {
+pub(super) fn dequantize(mlp: &QuantizedMlp) -> Mlp {
+    let layer = |layer: &QuantizedLayer| DenseLayer {
         inputs: layer.inputs,
         outputs: layer.outputs,
         weights: layer
@@ -149,7 +149,7 @@ pub(super) fn dequantise(mlp: &QuantisedMlp) -> Mlp {
 }
 
 /// The networks section: the shape and distributions of every layer, then one stream.
-pub(super) fn encode(networks: &QuantisedNetworks) -> Vec<u8> {
+pub(super) fn encode(networks: &QuantizedNetworks) -> Vec<u8> {
     let _stage = tracing::debug_span!("networks").entered();
     let mut writer = Writer::new();
     let mut stream = StreamEncoder::new();
@@ -184,7 +184,7 @@ pub(super) fn decode(
     features: usize,
     offsets: usize,
     max_memory_bytes: u64,
-) -> Result<QuantisedNetworks> {
+) -> Result<QuantizedNetworks> {
     let _stage = tracing::debug_span!("networks").entered();
     let mut reader = Reader::new(PART, section);
     let outputs = [offsets, 7 * offsets, 3 * offsets];
@@ -197,7 +197,7 @@ pub(super) fn decode(
     let memory = heads.iter().flatten().map(size).sum::<u64>() * PARAMETER_BYTES;
     check_limit("bytes of memory for networks", memory, max_memory_bytes)?;
     let mut stream = StreamDecoder::new(PART, reader.rest())?;
-    let mut networks = QuantisedNetworks([Vec::new(), Vec::new(), Vec::new()]);
+    let mut networks = QuantizedNetworks([Vec::new(), Vec::new(), Vec::new()]);
     for (mlp, heads) in networks.0.iter_mut().zip(heads) {
         for head in heads {
             mlp.push(read_layer(&mut stream, &head)?);
@@ -205,7 +205,7 @@ pub(super) fn decode(
     }
     stream.finish()?;
     let finite = |layer: &DenseLayer| layer.weights.iter().chain(&layer.bias).all(|value| value.is_finite());
-    if networks.0.iter().all(|mlp| dequantise(mlp).layers.iter().all(finite)) {
+    if networks.0.iter().all(|mlp| dequantize(mlp).layers.iter().all(finite)) {
         Ok(networks)
     } else {
         Err(reader.malformed("a parameter", "not finite"))
@@ -232,7 +232,7 @@ fn read_heads(reader: &mut Reader<'_>, inputs: usize, outputs: usize) -> Result<
     if width == outputs { Ok(heads) } else { Err(reader.malformed("last layer's width", width)) }
 }
 
-fn read_layer(stream: &mut StreamDecoder<'_>, head: &LayerHead) -> Result<QuantisedLayer> {
+fn read_layer(stream: &mut StreamDecoder<'_>, head: &LayerHead) -> Result<QuantizedLayer> {
     let mut integers = |distribution: Distribution, count: usize| {
         let mut integers = reserve("network parameters", count)?;
         for _ in 0..count {
@@ -247,7 +247,7 @@ fn read_layer(stream: &mut StreamDecoder<'_>, head: &LayerHead) -> Result<Quanti
     if let Some(scale) = row_scales.iter().find(|scale| !(0..=MAX_SCALE).contains(*scale)) {
         return Err(DecodeError::malformed(PART, "a row scale", scale));
     }
-    Ok(QuantisedLayer {
+    Ok(QuantizedLayer {
         inputs: head.inputs,
         outputs: head.outputs,
         row_scales,
@@ -275,18 +275,18 @@ mod tests {
         RenderNetworks { opacity: mlp(3), covariance: mlp(21), color: mlp(9) }
     }
 
-    fn quantised(networks: &RenderNetworks, levels: u16) -> QuantisedNetworks {
-        QuantisedNetworks([
-            quantise(&networks.opacity, levels),
-            quantise(&networks.covariance, levels),
-            quantise(&networks.color, levels),
+    fn quantized(networks: &RenderNetworks, levels: u16) -> QuantizedNetworks {
+        QuantizedNetworks([
+            quantize(&networks.opacity, levels),
+            quantize(&networks.covariance, levels),
+            quantize(&networks.color, levels),
         ])
     }
 
     #[test]
     fn parameters_are_within_half_a_level() {
         let network = networks(|index| ((index * 37 % 101) as f32 - 50.0) * 0.013);
-        let decoded = quantised(&network, 127).dequantise();
+        let decoded = quantized(&network, 127).dequantize();
         for (mlp, back) in [
             (&network.opacity, &decoded.opacity),
             (&network.covariance, &decoded.covariance),
@@ -317,16 +317,16 @@ mod tests {
         ];
         for (case, value) in cases.into_iter().enumerate() {
             for levels in [127, 1023] {
-                let quantised = quantised(&networks(value), levels);
-                let section = encode(&quantised);
-                assert_eq!(decode(&section, 2, 3, u64::MAX), Ok(quantised), "case {case}");
+                let quantized = quantized(&networks(value), levels);
+                let section = encode(&quantized);
+                assert_eq!(decode(&section, 2, 3, u64::MAX), Ok(quantized), "case {case}");
             }
         }
     }
 
     #[test]
     fn shapes_that_do_not_fit_are_refused() {
-        let section = encode(&quantised(&networks(|index| index as f32), 127));
+        let section = encode(&quantized(&networks(|index| index as f32), 127));
         assert!(decode(&section, 2, 4, u64::MAX).is_err());
         assert!(decode(&[0], 2, 3, u64::MAX).is_err());
         assert!(decode(&[1, 0x81, 0x08], 2, 3, u64::MAX).is_err(), "a layer 1025 wide");
@@ -377,7 +377,7 @@ mod tests {
 
     #[test]
     fn the_memory_limit_covers_integers_values_and_their_check() {
-        let section = encode(&quantised(&networks(|index| index as f32), 127));
+        let section = encode(&quantized(&networks(|index| index as f32), 127));
         let Err(DecodeError::Limit { value, limit: 1, .. }) = decode(&section, 2, 3, 1) else {
             panic!("must be refused")
         };

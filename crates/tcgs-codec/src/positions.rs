@@ -184,7 +184,7 @@ const HALVES: [u8; 3] = [0b1010_1010, 0b1100_1100, 0b1111_0000];
 /// No such node.
 const NONE: u32 = u32::MAX;
 
-/// The nodes of a level, ascending, each with the places of its face neighbours: `2 axis + forward`.
+/// The nodes of a level, ascending, each with the places of its face neighbors: `2 axis + forward`.
 struct Level {
     codes: Vec<u64>,
     sides: Vec<[u32; 6]>,
@@ -195,7 +195,7 @@ impl Level {
         Self { codes: vec![0], sides: vec![[NONE; 6]] }
     }
 
-    /// The next level. A child's neighbour is its sibling or a child of its parent's neighbour, so that none is
+    /// The next level. A child's neighbor is its sibling or a child of its parent's neighbor, so that none is
     /// searched for.
     fn children(&self, families: &[u8]) -> Self {
         let mut starts = Vec::with_capacity(families.len());
@@ -226,7 +226,7 @@ impl Level {
     }
 }
 
-/// Which of a node's six face neighbours exist: bit `2 axis + forward`.
+/// Which of a node's six face neighbors exist: bit `2 axis + forward`.
 #[derive(Clone, Copy)]
 struct Sides(u8);
 
@@ -235,17 +235,17 @@ impl Sides {
         Self(places.iter().zip(0..).fold(0, |bits, (place, side)| bits | u8::from(*place != NONE) << side))
     }
 
-    /// How many of the three neighbours that touch `child` exist.
+    /// How many of the three neighbors that touch `child` exist.
     fn touching(self, child: usize) -> usize {
         (0..3).filter(|axis| self.0 >> (2 * axis + (child >> axis & 1)) & 1 == 1).count()
     }
 
-    /// How many of the three neighbours on the far side from `child` exist.
+    /// How many of the three neighbors on the far side from `child` exist.
     fn opposite(self, child: usize) -> usize {
         self.touching(!child & 7)
     }
 
-    /// Whether the two neighbours along `axis` exist.
+    /// Whether the two neighbors along `axis` exist.
     fn along(self, axis: usize) -> usize {
         usize::from(self.0 >> (2 * axis) & 3)
     }
@@ -270,19 +270,19 @@ impl Contexts {
         }
     }
 
-    /// Whether a node has one child only: by height and number of neighbours.
+    /// Whether a node has one child only: by height and number of neighbors.
     fn single(&mut self, sides: Sides, below: u32) -> &mut AdaptiveBit {
         &mut self.single[(below as usize).min(HEIGHTS - 1) * 7 + sides.0.count_ones() as usize]
     }
 
-    /// Which half of an axis an only child is in, by the halves of the axes before it and the axis' neighbours.
+    /// Which half of an axis an only child is in, by the halves of the axes before it and the axis' neighbors.
     fn octant(&mut self, sides: Sides, below: u32, axis: usize, upper: u8) -> &mut AdaptiveBit {
         let digits = [(usize::from(upper), 8), (sides.along(axis), 4), (axis, 3)];
         &mut self.octant
             [digits.iter().fold((below as usize).min(2), |place, (digit, base)| place * base + digit)]
     }
 
-    /// Whether a child exists: by its place, known siblings, those across a face, and neighbours.
+    /// Whether a child exists: by its place, known siblings, those across a face, and neighbors.
     fn child(&mut self, sides: Sides, below: u32, child: usize, known: u8) -> &mut AdaptiveBit {
         let beside =
             (0..3).filter(|axis| child >> axis & 1 == 1 && known >> (child ^ 1 << axis) & 1 == 1).count();
@@ -406,7 +406,7 @@ mod tests {
     }
 
     #[test]
-    fn neighbours_are_what_a_search_finds() {
+    fn neighbors_are_what_a_search_finds() {
         let cells: Vec<[i32; 3]> = (0..4096_u64)
             .filter(|code| code * code % 11 < 4)
             .map(|code| morton::deinterleave(code).map(|c| c as i32))

@@ -1,9 +1,9 @@
-//! Chooses how finely each network's weights are quantised: as coarsely as its outputs allow.
+//! Chooses how finely each network's weights are quantized: as coarsely as its outputs allow.
 //!
-//! A network is run on a sample of the scene's own anchors before and after quantisation; the difference is measured after the
-//! activations, as a difference in opacity, shape or colour.
+//! A network is run on a sample of the scene's own anchors before and after quantization; the difference is measured after the
+//! activations, as a difference in opacity, shape or color.
 
-use super::networks::{self, QuantisedMlp};
+use super::networks::{self, QuantizedMlp};
 use crate::domain::{AnchorScene, DenseLayer, Mlp, anchors::VIEW_INPUTS};
 
 /// Magnitudes of the weights' integers, coarsest first: 4, 6 and 8 bits, which a network may have been trained for,
@@ -12,7 +12,7 @@ const LEVELS: [u16; 7] = [7, 31, 127, 255, 511, 1023, 2047];
 
 /// Largest root mean square difference after activation. Of the difference of a network, a fifth arrives in the pixels at
 /// most: on the held-out views of a trained scene of 27 dB, opacities coarser by 0.0295 cost 0.06 dB, which is 0.0054 of
-/// a pixel, by 0.0055 nothing that shows in a hundredth of a dB; shapes by 0.024 and colours by 0.011 nothing either. So
+/// a pixel, by 0.0055 nothing that shows in a hundredth of a dB; shapes by 0.024 and colors by 0.011 nothing either. So
 /// three networks with this difference each come to 0.001 of a pixel or 60 dB, which takes 0.01 dB from an image of 34 dB
 /// and 0.02 dB from one of 37 dB.
 const TOLERANCE: f64 = 3e-3;
@@ -25,24 +25,24 @@ const SAMPLE_ANCHORS: usize = 256;
 pub(super) enum Activation {
     /// Opacity.
     Tanh,
-    /// Colour.
+    /// Color.
     Logistic,
-    /// Three logistic scales and a quaternion to be normalised, an offset.
+    /// Three logistic scales and a quaternion to be normalized, an offset.
     Covariance,
 }
 
-/// Quantises `mlp` as coarsely as [`TOLERANCE`] allows.
-pub(super) fn quantise(mlp: &Mlp, activation: Activation, inputs: &[Vec<f32>]) -> QuantisedMlp {
+/// Quantizes `mlp` as coarsely as [`TOLERANCE`] allows.
+pub(super) fn quantize(mlp: &Mlp, activation: Activation, inputs: &[Vec<f32>]) -> QuantizedMlp {
     let exact: Vec<Vec<f64>> =
         inputs.iter().map(|input| activate(activation, &forward(mlp, input))).collect();
-    let mut quantised = QuantisedMlp::new();
+    let mut quantized = QuantizedMlp::new();
     for levels in LEVELS {
-        quantised = networks::quantise(mlp, levels);
-        if difference(&networks::dequantise(&quantised), activation, inputs, &exact) <= TOLERANCE {
+        quantized = networks::quantize(mlp, levels);
+        if difference(&networks::dequantize(&quantized), activation, inputs, &exact) <= TOLERANCE {
             break;
         }
     }
-    quantised
+    quantized
 }
 
 /// Root mean square difference of a network's activated outputs from `exact`.
@@ -147,7 +147,7 @@ mod tests {
     }
 
     #[test]
-    fn activations_are_those_of_opacity_colour_and_shape() {
+    fn activations_are_those_of_opacity_color_and_shape() {
         let near = |activation: Activation, outputs: &[f32], expected: &[f64]| {
             let values = activate(activation, outputs);
             assert_eq!(values.len(), expected.len());
@@ -211,11 +211,11 @@ mod tests {
         let exact: Vec<_> =
             inputs.iter().map(|x| activate(Activation::Logistic, &forward(&mlp, x))).collect();
         let at = |levels| {
-            let decoded = networks::dequantise(&networks::quantise(&mlp, levels));
+            let decoded = networks::dequantize(&networks::quantize(&mlp, levels));
             difference(&decoded, Activation::Logistic, &inputs, &exact)
         };
         let errors = LEVELS.map(at);
-        println!("root mean square difference of colours with 4, 6, 8 to 12 weight bits: {errors:?}");
+        println!("root mean square difference of colors with 4, 6, 8 to 12 weight bits: {errors:?}");
         let bits = LEVELS.map(|levels| f64::from(levels + 1).log2());
         for (errors, bits) in errors.windows(2).zip(bits.windows(2)) {
             let halves = (errors[0] / errors[1]).log2() / (bits[1] - bits[0]);
@@ -235,9 +235,9 @@ mod tests {
                 bias: vec![0.0; 60],
             }],
         };
-        let rounded = networks::dequantise(&networks::quantise(&mlp, 127));
+        let rounded = networks::dequantize(&networks::quantize(&mlp, 127));
         assert_ne!(rounded, mlp);
-        assert_eq!(networks::dequantise(&networks::quantise(&rounded, 127)), rounded);
+        assert_eq!(networks::dequantize(&networks::quantize(&rounded, 127)), rounded);
     }
 
     #[test]
@@ -254,7 +254,7 @@ mod tests {
             .map(|turn| (0..8).map(|index| ((turn * 7 + index * 5) % 13) as f32 - 6.0).collect())
             .collect();
         let finest = |mlp: &Mlp| {
-            let decoded = networks::dequantise(&quantise(mlp, Activation::Tanh, &inputs));
+            let decoded = networks::dequantize(&quantize(mlp, Activation::Tanh, &inputs));
             let steps = decoded.layers[0].weights.iter().zip(&mlp.layers[0].weights);
             steps.map(|(a, b)| (a - b).abs()).fold(0.0, f32::max)
         };

@@ -17,13 +17,13 @@ use super::{
     error::EncodeError,
     groups::GroupCoder,
     manifest::{GroupContext, GroupCosts, QuantSteps},
-    quantise::Quantiser,
+    quantize::Quantizer,
     regression_fit,
     shape::{Attribute, Shape},
 };
 use crate::domain::{
     AnchorScene, AttributeGroup, ContextCandidates, ContextFrame, Mlp,
-    context_model::{ContextKind, GroupNetworks, NEIGHBOURS},
+    context_model::{ContextKind, GroupNetworks, NEIGHBORS},
 };
 
 /// Bits of a weight that are tried.
@@ -60,7 +60,7 @@ pub(super) struct Chosen {
     /// The regression section, where a group has one.
     pub(super) regression: Option<Vec<u8>>,
     /// Of each anchor, if a candidate uses them.
-    pub(super) neighbours: Vec<[u32; NEIGHBOURS]>,
+    pub(super) neighbors: Vec<[u32; NEIGHBORS]>,
 }
 
 /// Codes the groups as `settings` ask.
@@ -71,7 +71,7 @@ pub(super) fn choose(
 ) -> Result<Chosen, EncodeError> {
     let Some(candidates) = candidates else {
         let none = ContextCandidates {
-            frame: ContextFrame { centre: [0; 3], half: [1; 3] },
+            frame: ContextFrame { center: [0; 3], half: [1; 3] },
             static_steps: [0.0; 3],
             position: [None, None, None],
             planes: Vec::new(),
@@ -120,7 +120,7 @@ fn check(candidates: &ContextCandidates, shape: Shape) -> Result<(), EncodeError
         IntegerPlanes::check(&set.planes).map_err(|text| unusable(&format!("planes {number}"), text))?;
         let channels = set.planes.plane_channels();
         check_networks(&set.own, ContextKind::TriPlane, channels)?;
-        check_networks(&set.neighbours, ContextKind::TriPlaneKnn, channels)?;
+        check_networks(&set.neighbors, ContextKind::TriPlaneKnn, channels)?;
     }
     Ok(())
 }
@@ -153,8 +153,8 @@ struct Search<'a> {
 impl<'a> Search<'a> {
     fn coder(&self, attribute: Attribute) -> GroupCoder<'_> {
         let Anchors { scene, order, masks, shape, steps, chunks, .. } = *self.anchors;
-        let quantiser = Quantiser { scene, order, attribute, base: steps.of(attribute) };
-        GroupCoder { quantiser, shape, masks, chunks, anchors: &self.context }
+        let quantizer = Quantizer { scene, order, attribute, base: steps.of(attribute) };
+        GroupCoder { quantizer, shape, masks, chunks, anchors: &self.context }
     }
 
     fn with_tables(&self, attribute: Attribute) -> Result<CodedCandidate, EncodeError> {
@@ -202,7 +202,7 @@ impl<'a> Search<'a> {
         }
     }
 
-    fn quantised(
+    fn quantized(
         &self,
         attribute: Attribute,
         mlp: &Mlp,
@@ -213,7 +213,7 @@ impl<'a> Search<'a> {
             what: "choice".to_owned(),
             problem: format!("{weight_bits} bits a weight"),
         })?;
-        let mut mlp = IntegerMlp::quantise(mlp, bits);
+        let mut mlp = IntegerMlp::quantize(mlp, bits);
         mlp.shift_last_output(quant_steps::index_as_octaves(self.settings.coarser[attribute as usize]));
         Ok(ContextNetwork { kind, mlp })
     }
@@ -230,7 +230,7 @@ impl<'a> Search<'a> {
         let stride = self.anchors.chunks.len().div_ceil(SAMPLE_CHUNKS);
         let mut best: Option<Estimated> = None;
         for weight_bits in WEIGHT_BITS {
-            let network = self.quantised(attribute, mlp, kind, weight_bits)?;
+            let network = self.quantized(attribute, mlp, kind, weight_bits)?;
             let bytes = match self.coder(attribute).estimate(&network, stride) {
                 Ok(bytes) => bytes + network_bytes(&network),
                 Err(EncodeError::OutOfRange { .. }) => continue,
@@ -298,11 +298,11 @@ impl<'a> Search<'a> {
 
     /// Samples the planes of a set.
     fn sample(&mut self, number: usize) {
-        let planes = IntegerPlanes::quantise(&self.candidates.planes[number].planes);
+        let planes = IntegerPlanes::quantize(&self.candidates.planes[number].planes);
         self.context.sample(&planes.texels());
         let wants = |set: &GroupNetworks| set.iter().any(Option::is_some);
-        if wants(&self.candidates.planes[number].neighbours) && !self.context.has_neighbours() {
-            self.context.find_neighbours(self.anchors.cells);
+        if wants(&self.candidates.planes[number].neighbors) && !self.context.has_neighbors() {
+            self.context.find_neighbors(self.anchors.cells);
         }
     }
 
@@ -316,7 +316,7 @@ impl<'a> Search<'a> {
         let mut least_total = u64::MAX;
         let candidates = self.candidates;
         for (number, set) in candidates.planes.iter().enumerate() {
-            let section = IntegerPlanes::quantise(&set.planes).encode();
+            let section = IntegerPlanes::quantize(&set.planes).encode();
             self.sample(number);
             let mut found: [Vec<Estimated>; 3] = Default::default();
             let mut total = section.len() as u64;
@@ -324,7 +324,7 @@ impl<'a> Search<'a> {
                 let group = attribute as usize;
                 let kinds = [
                     (set.own[group].as_ref(), ContextKind::TriPlane),
-                    (set.neighbours[group].as_ref(), ContextKind::TriPlaneKnn),
+                    (set.neighbors[group].as_ref(), ContextKind::TriPlaneKnn),
                 ];
                 for (mlp, kind) in kinds {
                     found[group].extend(self.best_width(attribute, mlp, kind)?);
@@ -355,11 +355,11 @@ impl<'a> Search<'a> {
         };
         let mut section = None;
         if let Some(set) = set {
-            let planes = IntegerPlanes::quantise(&set.planes);
+            let planes = IntegerPlanes::quantize(&set.planes);
             section = Some(planes.encode());
             self.context.sample(&planes.texels());
             if kinds.contains(&Some(ContextKind::TriPlaneKnn)) {
-                self.context.find_neighbours(self.anchors.cells);
+                self.context.find_neighbors(self.anchors.cells);
             }
         }
         let mut tried: [Vec<CodedCandidate>; 3] = Default::default();
@@ -372,12 +372,12 @@ impl<'a> Search<'a> {
             let networks = match kind {
                 ContextKind::Position => Some(&candidates.position),
                 ContextKind::TriPlane => set.map(|set| &set.own),
-                ContextKind::TriPlaneKnn => set.map(|set| &set.neighbours),
+                ContextKind::TriPlaneKnn => set.map(|set| &set.neighbors),
             };
             let mlp = networks
                 .and_then(|networks| networks[group].as_ref())
                 .ok_or_else(|| unusable(format!("there is no {kind:?} network of {attribute:?}")))?;
-            let network = self.quantised(attribute, mlp, kind, weight_bits)?;
+            let network = self.quantized(attribute, mlp, kind, weight_bits)?;
             tried[group].push(self.with_network(attribute, network, weight_bits)?);
         }
         Ok(self.finish(choice.planes.zip(section), tried, Scope::All))
@@ -415,8 +415,8 @@ impl<'a> Search<'a> {
         let context =
             kinds.iter().any(Option::is_some).then(|| section::encode(&self.candidates.frame, networks));
         let regression = regression::encode(groups.each_ref().map(|group| group.model.regression.as_ref()));
-        let neighbours = self.context.take_neighbours();
-        Chosen { choice, contexts, context, planes: section, regression, groups, neighbours }
+        let neighbors = self.context.take_neighbors();
+        Chosen { choice, contexts, context, planes: section, regression, groups, neighbors }
     }
 }
 
@@ -449,7 +449,7 @@ fn least(tried: &[CodedCandidate], scope: Scope) -> u64 {
 
 /// Bytes of a network in the context section, with its length.
 fn network_bytes(network: &ContextNetwork) -> u64 {
-    let frame = ContextFrame { centre: [0; 3], half: [1; 3] };
+    let frame = ContextFrame { center: [0; 3], half: [1; 3] };
     let of = |networks| section::encode(&frame, networks).len() as u64;
     of([Some(network), None, None]) - of([None; 3])
 }

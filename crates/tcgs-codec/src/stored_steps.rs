@@ -1,4 +1,4 @@
-//! The quantisation steps of a file's anchors, for measurements of what rounding costs.
+//! The quantization steps of a file's anchors, for measurements of what rounding costs.
 
 use super::{
     context::quant_steps::factor,

@@ -32,7 +32,7 @@ impl Distribution {
             Distribution::Gaussian(gaussian) => gaussian,
         };
         let table = gaussian.table();
-        let difference = symbol - gaussian.centre();
+        let difference = symbol - gaussian.center();
         let outside = difference.abs() - table.radius();
         if outside <= 0 {
             stream.table(table, (difference + table.radius()) as usize);
@@ -56,7 +56,7 @@ impl Distribution {
         let table = gaussian.table();
         let index = stream.table(table)?;
         if index != table.escape() {
-            return checked(stream.part(), gaussian.centre() + index as i32 - table.radius());
+            return checked(stream.part(), gaussian.center() + index as i32 - table.radius());
         }
         let negative = stream.bypass()?;
         let mut prefix = 0;
@@ -71,7 +71,7 @@ impl Distribution {
             outside = outside << 1 | i32::from(stream.bypass()?);
         }
         let difference = table.radius() + outside;
-        checked(stream.part(), gaussian.centre() + if negative { -difference } else { difference })
+        checked(stream.part(), gaussian.center() + if negative { -difference } else { difference })
     }
 
     /// Cost of a symbol in bits, by the table's counts; infinite if it cannot be coded.
@@ -81,7 +81,7 @@ impl Distribution {
             Distribution::Gaussian(gaussian) => gaussian,
         };
         let table = gaussian.table();
-        let difference = symbol - gaussian.centre();
+        let difference = symbol - gaussian.center();
         let outside = difference.abs() - table.radius();
         let (index, escaped) = match outside {
             ..=0 => ((difference + table.radius()) as usize, 0.0),

@@ -1,6 +1,6 @@
-//! Depth on the device: Gaussians whose colour is their depth, blended by the rasteriser like any colour.
+//! Depth on the device: Gaussians whose color is their depth, blended by the rasterizer like any color.
 //!
-//! So depth uses exactly the Gaussians and weights of the colour image.
+//! So depth uses exactly the Gaussians and weights of the color image.
 
 use std::sync::Arc;
 
@@ -20,7 +20,7 @@ struct DepthUniform {
     unused: [u32; 3],
 }
 
-/// Replaces the colours of a view's Gaussians by their depths.
+/// Replaces the colors of a view's Gaussians by their depths.
 #[derive(Debug)]
 pub struct DepthShader {
     kernel: Arc<Kernel>,
@@ -32,11 +32,11 @@ impl DepthShader {
     pub fn new(device: &Device) -> Result<Self> {
         Ok(Self {
             kernel: device.kernel(kernel_source!("shade_depth"), &[])?,
-            colors: device.buffer("depths as colours", 0)?,
+            colors: device.buffer("depths as colors", 0)?,
         })
     }
 
-    /// Records `gaussians` with their depth as red: the coordinate of their centre along the camera's axis. Green and blue are
+    /// Records `gaussians` with their depth as red: the coordinate of their center along the camera's axis. Green and blue are
     /// 0.
     pub fn forward(
         &mut self,
@@ -46,7 +46,7 @@ impl DepthShader {
         camera: &Camera,
     ) -> Result<Gaussians> {
         if self.colors.len() != gaussians.capacity {
-            self.colors = device.buffer("depths as colours", gaussians.capacity)?;
+            self.colors = device.buffer("depths as colors", gaussians.capacity)?;
         }
         let pose = CenteredPose::of(camera).relative_to(gaussians.origin);
         let count = u32::try_from(gaussians.capacity).unwrap_or(u32::MAX);

@@ -13,7 +13,7 @@ pub const GEOMETRY_SECTIONS: usize = 3;
 pub struct Gaussians {
     /// Rows in use, in element 0; clamped to `capacity`.
     pub count: Buffer<u32>,
-    /// Rows of the colours and of every section of the geometry.
+    /// Rows of the colors and of every section of the geometry.
     pub capacity: usize,
     /// World position that the rows' positions are relative to. Near a camera that is far from the world's origin, f32 has positions
     /// relative to the camera far more accurately than the world's.
@@ -34,7 +34,7 @@ impl Gaussians {
             capacity: Plan::value(capacity),
             origin: Plan::value([0.0; 3]),
             geometry: Plan::buffer("geometry", GEOMETRY_SECTIONS * capacity),
-            colors: Plan::buffer("colours", capacity),
+            colors: Plan::buffer("colors", capacity),
         })
     }
 }
@@ -43,11 +43,11 @@ impl Gaussians {
 /// written.
 #[derive(Debug, Clone)]
 pub struct GaussianGradients {
-    /// By position and opacity, by the standard deviations, and by the quaternion as given, before it is normalised.
+    /// By position and opacity, by the standard deviations, and by the quaternion as given, before it is normalized.
     pub geometry: Buffer<[f32; 4]>,
-    /// By the colour.
+    /// By the color.
     pub colors: Buffer<[f32; 4]>,
-    /// By the projected centre in pixels (u, v), then the number of tiles touched (0 = culled) and the radius: three
+    /// By the projected center in pixels (u, v), then the number of tiles touched (0 = culled) and the radius: three
     /// standard deviations in pixels along the longer axis.
     pub means2d: Buffer<[f32; 4]>,
 }
@@ -58,8 +58,8 @@ impl GaussianGradients {
     pub fn plan(capacity: usize) -> Plan<'static, Self> {
         planned!(Self {
             geometry: Plan::buffer("gradients of geometry", GEOMETRY_SECTIONS * capacity),
-            colors: Plan::buffer("gradients of colours", capacity),
-            means2d: Plan::buffer("gradients of projected centres", capacity),
+            colors: Plan::buffer("gradients of colors", capacity),
+            means2d: Plan::buffer("gradients of projected centers", capacity),
         })
     }
 }

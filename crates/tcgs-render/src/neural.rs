@@ -263,7 +263,7 @@ impl NeuralGaussians {
         })
     }
 
-    /// Most anchors of a shape whose largest buffer the adapter binds: here, among the anchors' own and in the rasteriser, with the
+    /// Most anchors of a shape whose largest buffer the adapter binds: here, among the anchors' own and in the rasterizer, with the
     /// spare capacity of [`Self::forward`].
     #[must_use]
     pub fn max_anchors(adapter: &AdapterReport, shape: Shape) -> usize {
@@ -354,7 +354,7 @@ impl NeuralGaussians {
         Ok((list, opacities.iter().map(|gaussian| gaussian[3]).collect()))
     }
 
-    /// Records the view's Gaussians. `volume_weight` is the regulariser's weight in the backward pass.
+    /// Records the view's Gaussians. `volume_weight` is the regularizer's weight in the backward pass.
     ///
     /// # Errors
     /// Faults of the device, or a scene that is too large for it.

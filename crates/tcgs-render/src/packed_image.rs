@@ -1,4 +1,4 @@
-//! Views as 8-bit colours: rounded on the device, and read back with the counters of their pass in one transfer, through buffers that
+//! Views as 8-bit colors: rounded on the device, and read back with the counters of their pass in one transfer, through buffers that
 //! are kept.
 
 use std::sync::Arc;

@@ -1,4 +1,4 @@
-//! The projection of a camera and the rasteriser's settings, in f64 for the twins and packed for the kernels.
+//! The projection of a camera and the rasterizer's settings, in f64 for the twins and packed for the kernels.
 
 use glam::{DMat3, DVec2, DVec3, UVec2};
 
@@ -8,10 +8,10 @@ use crate::domain::{Camera, NearPlane};
 /// Side of a tile in pixels.
 pub const TILE: u32 = 16;
 
-/// How the rasteriser treats Gaussians.
+/// How the rasterizer treats Gaussians.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct RasterSettings {
-    /// Gaussians whose centre is at this depth or nearer are culled, in world units.
+    /// Gaussians whose center is at this depth or nearer are culled, in world units.
     pub near: f32,
     /// Whether opacities compensate for the area that the low-pass filter adds (Mip-Splatting).
     pub antialiased: bool,
@@ -38,7 +38,7 @@ pub struct Projection {
     pub center: DVec2,
     /// Width and height in pixels.
     pub size: UVec2,
-    /// Depth that a Gaussian's centre must exceed.
+    /// Depth that a Gaussian's center must exceed.
     pub near: f64,
     /// Variance added to both axes.
     pub low_pass: f64,
@@ -83,7 +83,7 @@ impl Projection {
 /// that has the accuracy of the difference, while a rotation and a translation have that of the distance to the world's origin.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct CenteredPose {
-    /// The camera centre in f32.
+    /// The camera center in f32.
     pub(super) eye: [f32; 3],
     /// Rows of the world-to-camera rotation, each with a camera coordinate of `eye`: what its rounding leaves.
     pub(super) rows: [[f32; 4]; 3],
@@ -103,7 +103,7 @@ impl CenteredPose {
         Self::new(camera.pose.rotation(), camera.pose.translation())
     }
 
-    /// The centre with a fourth number.
+    /// The center with a fourth number.
     pub(super) fn eye_and(&self, fourth: f32) -> [f32; 4] {
         let [x, y, z] = self.eye;
         [x, y, z, fourth]

@@ -1,4 +1,4 @@
-//! Buffers of the rasteriser: a row for each Gaussian, for each intersection with a tile, and for each pixel.
+//! Buffers of the rasterizer: a row for each Gaussian, for each intersection with a tile, and for each pixel.
 
 use super::projection::TILE;
 use crate::gpu::{AdapterReport, Buffer, Pairs, Plan, RadixSort, Scan, ScanSlots, planned};
@@ -13,10 +13,10 @@ const COUNTERS: usize = 4;
 /// Bits of the depth keys. Depths are positive floats: their bits order as integers, and the sign bit is clear.
 const DEPTH_BITS: u32 = 31;
 
-/// Rows of four floats of a projected Gaussian: place, conic, colour.
+/// Rows of four floats of a projected Gaussian: place, conic, color.
 pub(super) const SPLAT_ROWS: usize = 3;
 
-/// Floats of each slot of the backward pass: centre 2, opacity, conic 3, colour 3.
+/// Floats of each slot of the backward pass: center 2, opacity, conic 3, color 3.
 pub(super) const SLOT_FLOATS: usize = 9;
 
 /// Buffers with a row for each Gaussian.

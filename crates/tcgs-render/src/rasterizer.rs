@@ -1,4 +1,4 @@
-//! The rasteriser: from Gaussians and a camera to an image, and back to gradients.
+//! The rasterizer: from Gaussians and a camera to an image, and back to gradients.
 //!
 //! Invariants: nothing is read back while recording; counts found on the device bound all work there; on one adapter the same
 //! input gives the same bits, because every sum has a fixed order.
@@ -526,7 +526,7 @@ fn gather_kernel(device: &Device) -> Result<Arc<Kernel>, GpuError> {
 }
 
 /// Sums of `gradients` (nine floats a slot) over the slots of each Gaussian, which follow one another and of which there are
-/// `tiles`: place and opacity, conic, colour, as the backward pass makes them. Waits for the device.
+/// `tiles`: place and opacity, conic, color, as the backward pass makes them. Waits for the device.
 ///
 /// # Errors
 /// [`RenderError::Length`] unless there are as many slots as tiles; faults of the device.
@@ -564,14 +564,14 @@ fn check(what: &'static str, found: usize, expected: usize) -> Result<()> {
 fn check_columns(gaussians: &Gaussians) -> Result<()> {
     let expected = gaussians.capacity;
     check("the geometry", gaussians.geometry.len(), GEOMETRY_SECTIONS * expected)?;
-    check("colours", gaussians.colors.len(), expected)?;
+    check("colors", gaussians.colors.len(), expected)?;
     check("the count", gaussians.count.len().min(1), 1)
 }
 
 fn check_gradients(out: &GaussianGradients, expected: usize) -> Result<()> {
     check("gradients of the geometry", out.geometry.len(), GEOMETRY_SECTIONS * expected)?;
-    check("gradients of colours", out.colors.len(), expected)?;
-    check("gradients of projected centres", out.means2d.len(), expected)
+    check("gradients of colors", out.colors.len(), expected)?;
+    check("gradients of projected centers", out.means2d.len(), expected)
 }
 
 #[cfg(test)]

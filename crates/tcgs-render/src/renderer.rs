@@ -181,7 +181,7 @@ impl Renderer {
         Ok(recorder.submit()?)
     }
 
-    /// The colours of the view from `camera` as the kernels leave them, neither rounded nor bounded, and the transmittance left behind
+    /// The colors of the view from `camera` as the kernels leave them, neither rounded nor bounded, and the transmittance left behind
     /// each pixel.
     pub fn colors(&mut self, camera: &Camera) -> Result<Vec<[f32; 4]>> {
         self.blend(camera, false)
@@ -203,7 +203,7 @@ impl Renderer {
         Ok(ScalarImage { width: camera.intrinsics.width, height: camera.intrinsics.height, values })
     }
 
-    /// Blends the colours over the background, or the depths over nothing: three channels and the transmittance.
+    /// Blends the colors over the background, or the depths over nothing: three channels and the transmittance.
     fn blend(&mut self, camera: &Camera, depth: bool) -> Result<Vec<[f32; 4]>> {
         let device = Arc::clone(&self.device);
         let camera = &self.frame.camera_from_world(camera);

@@ -16,7 +16,7 @@ pub struct Viewable {
 /// What the numbers of a [`ScalarImage`] are.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub enum ScalarKind {
-    /// Expected depth: the mean of the Gaussians' depths (of their centres, along the camera's axis, in world units), with their
+    /// Expected depth: the mean of the Gaussians' depths (of their centers, along the camera's axis, in world units), with their
     /// blending weights. 0 where alpha is below [`MIN_VISIBLE_ALPHA`].
     Depth,
     /// Opacity of the pixel, from 0 to 1.
@@ -55,7 +55,7 @@ pub trait RenderViews: Send + Sync + 'static {
         camera: &Camera,
     ) -> Result<Image, Problem>;
 
-    /// As [`RenderViews::render`], one number a pixel instead of colours.
+    /// As [`RenderViews::render`], one number a pixel instead of colors.
     ///
     /// # Errors
     /// As [`RenderViews::render`].

@@ -1,4 +1,4 @@
-//! `tcgs bench contexts`: what planes and neighbours save in finished scenes of several sizes, in bytes of whole files.
+//! `tcgs bench contexts`: what planes and neighbors save in finished scenes of several sizes, in bytes of whole files.
 
 use std::{
     path::{Path, PathBuf},

@@ -43,11 +43,11 @@ pub(crate) use viewer::{Advertised, ViewerOptions, viewer};
 
 use super::{CliError, files, memory::MemoryFlags};
 
-/// Default quantisation step of features (the published one).
+/// Default quantization step of features (the published one).
 pub(crate) const FEATURE_STEP: f32 = 1.0;
-/// Default quantisation step of scalings as a fraction of the voxel.
+/// Default quantization step of scalings as a fraction of the voxel.
 pub(crate) const SCALING_STEP: f32 = 0.05;
-/// Default quantisation step of offsets (the published one).
+/// Default quantization step of offsets (the published one).
 pub(crate) const OFFSET_STEP: f32 = 0.2;
 
 pub(crate) use tcgs::pipeline::{

@@ -257,7 +257,7 @@ mod tests {
     #[test]
     fn faults_name_their_field() {
         for (fields, named) in [
-            (json!({ "colour": "red" }), "colour"),
+            (json!({ "color": "red" }), "color"),
             (json!({ "iterations": "7" }), "iterations"),
             (json!({ "iterations": 0 }), "iterations"),
             (json!({ "seed": -1 }), "seed"),

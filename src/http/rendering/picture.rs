@@ -4,7 +4,7 @@ use bytes::Bytes;
 
 use crate::{
     domain::{Image, named_choice},
-    picture::{PictureError, PictureFormat, deep_grey_png, grey_png},
+    picture::{PictureError, PictureFormat, deep_gray_png, gray_png},
     render::views::ScalarImage,
 };
 
@@ -66,7 +66,7 @@ pub(crate) struct PictureKind {
 }
 
 impl PictureKind {
-    /// The requested kind; colour is written as `default` if no format is given.
+    /// The requested kind; color is written as `default` if no format is given.
     pub(crate) fn new(
         output: Option<Output>,
         format: Option<Format>,
@@ -164,7 +164,7 @@ impl Picture {
     }
 }
 
-/// 16-bit grey and its world units per step: the deepest pixel is 65535, an empty one 0.
+/// 16-bit gray and its world units per step: the deepest pixel is 65535, an empty one 0.
 fn depth_png(plane: &ScalarImage) -> Result<(Vec<u8>, f64), PictureError> {
     let deepest = plane.values.iter().copied().fold(0.0_f32, f32::max);
     let scale = if deepest > 0.0 { f64::from(deepest) / f64::from(u16::MAX) } else { 1.0 };
@@ -174,13 +174,13 @@ fn depth_png(plane: &ScalarImage) -> Result<(Vec<u8>, f64), PictureError> {
         (f64::from(depth) / scale).round().clamp(least, f64::from(u16::MAX)) as u16
     };
     let samples: Vec<u16> = plane.values.iter().map(|depth| step(*depth)).collect();
-    Ok((deep_grey_png(&samples, plane.width, plane.height)?, scale))
+    Ok((deep_gray_png(&samples, plane.width, plane.height)?, scale))
 }
 
 fn alpha_png(plane: &ScalarImage) -> Result<Vec<u8>, PictureError> {
     let samples: Vec<u8> =
         plane.values.iter().map(|alpha| (alpha.clamp(0.0, 1.0) * 255.0).round() as u8).collect();
-    grey_png(&samples, plane.width, plane.height)
+    gray_png(&samples, plane.width, plane.height)
 }
 
 /// Version 1.0 of NumPy's array format: `[height, width]` of little-endian float32.
@@ -219,7 +219,7 @@ mod tests {
     }
 
     #[test]
-    fn every_format_of_colour_reads_back_and_the_lossless_ones_exactly() {
+    fn every_format_of_color_reads_back_and_the_lossless_ones_exactly() {
         for channels in [3, 4] {
             let samples: Vec<u8> = (0..5 * 3 * channels).map(|i| (i * 7 % 256) as u8).collect();
             let image = Image::new(5, 3, channels as u8, samples.clone()).expect("an image");
@@ -242,7 +242,7 @@ mod tests {
         let file = Picture::encode(&Rendered::Depth(plane()), kind(Output::Depth, Format::Png));
         let file = file.expect("encodes");
         let scale = file.depth_scale().expect("a scale");
-        let image::DynamicImage::ImageLuma16(back) = read(&file) else { panic!("not 16-bit grey") };
+        let image::DynamicImage::ImageLuma16(back) = read(&file) else { panic!("not 16-bit gray") };
         assert_eq!((back.as_raw()[0], back.as_raw()[1], back.as_raw()[5]), (0, 1, 65535));
         for (step, depth) in back.as_raw().iter().zip(plane().values).skip(2) {
             assert!((f64::from(*step) * scale - f64::from(depth)).abs() <= 0.5 * scale, "{step} {depth}");

@@ -124,7 +124,7 @@ fn loss(history: &History) -> Markup {
         series: vec![line("mean of recent steps", points)],
         ..Chart::default()
     }
-    .figure("What the optimiser minimises: picture, size and regularisation together.")
+    .figure("What the optimizer minimizes: picture, size and regularization together.")
 }
 
 /// What an axis of time is marked in.

@@ -44,19 +44,19 @@ fn shown(sheet: &HeldOut) -> Markup {
             @if sheet.views.len() < sheet.of {
                 (sheet.views.len()) " of " (sheet.of) " views: the worst, and the best at the end. "
             }
-            "From left to right: the photograph, the decoded file, and their difference, root mean square over the colours:"
+            "From left to right: the photograph, the decoded file, and their difference, root mean square over the colors:"
         }
         (scale(sheet))
         @for view in &sheet.views { (row(view)) }
     }
 }
 
-/// The colours of the error maps with what they stand for.
+/// The colors of the error maps with what they stand for.
 fn scale(sheet: &HeldOut) -> Markup {
     let last = sheet.ramp.len().saturating_sub(1).max(1) as f64;
     let levels = (255.0 * sheet.ceiling).round();
     html! {
-        svg.scale viewBox="0 0 560 40" role="img" aria-label="Colours of the error maps" {
+        svg.scale viewBox="0 0 560 40" role="img" aria-label="Colors of the error maps" {
             defs {
                 linearGradient id="ramp" {
                     @for (place, [r, g, b]) in sheet.ramp.iter().enumerate() {

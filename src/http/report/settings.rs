@@ -93,7 +93,7 @@ fn course(metrics: &JobMetrics) -> Rows {
         row("steps a second", figure(Some(metrics.steps_per_second), 2)),
         row("anchors", grouped(metrics.anchors)),
         row("Gaussians", grouped(metrics.gaussians)),
-        row("PSNR before quantisation, dB", figure(metrics.psnr_before_quantisation, 2)),
+        row("PSNR before quantization, dB", figure(metrics.psnr_before_quantisation, 2)),
         row("PSNR of training views, dB", figure(metrics.train.psnr, 2)),
     ]
 }

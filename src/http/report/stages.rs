@@ -39,7 +39,7 @@ fn coding(stages: &CodingStages, metrics: &JobMetrics) -> Markup {
             ("as trained, in floats", format!("{:.2} dB", stages.floats)),
             ("noise in place of rounding", signed(stages.noise - stages.floats)),
             ("rounded attributes", signed(stages.rounded - stages.floats)),
-            ("quantised networks", signed(stages.decoded - stages.rounded)),
+            ("quantized networks", signed(stages.decoded - stages.rounded)),
             ("the decoded file", format!("{:.2} dB", stages.decoded)),
             (
                 "bits, integer over float context",

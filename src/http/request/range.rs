@@ -5,7 +5,7 @@ use std::ops::Range;
 /// What a `Range` header asks for.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) enum ByteRange {
-    /// Everything: there is no range, or none that this server honours (several ranges, another unit).
+    /// Everything: there is no range, or none that this server honors (several ranges, another unit).
     Whole,
     /// A part that is not empty.
     Part(Range<u64>),

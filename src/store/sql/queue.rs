@@ -307,7 +307,7 @@ fn lease_lost(lease: &Lease) -> StoreError {
 }
 
 /// Renews the lease. Successive renewals always differ in `lease_until`, whatever the clock does: that is how the lease watch
-/// recognises them.
+/// recognizes them.
 pub(super) async fn heartbeat(
     connection: &mut Transaction,
     policy: &QueuePolicy,

@@ -30,7 +30,7 @@ fn check_file(file: &Path, dataset: &Path, metrics: &Value) {
     assert_eq!(metrics["bytes"]["total"], written.len());
     assert_eq!(parts(&metrics["bytes"]), written.len() as u64, "the parts add up");
     let before = &metrics["psnr_before_quantisation"];
-    assert_eq!(metrics["test"]["psnr"], *before, "nothing was quantised");
+    assert_eq!(metrics["test"]["psnr"], *before, "nothing was quantized");
 
     let account = answers(line!["inspect", file, "--json"]);
     assert_eq!(account["byte_counts"], metrics["bytes"]);

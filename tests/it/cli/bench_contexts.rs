@@ -15,7 +15,7 @@ fn every_context_codes_every_part_and_the_choice_is_the_smallest() {
         let trials = part["trials"].as_array().expect("a list");
         let total = |trial: &serde_json::Value| trial["bytes"]["total"].as_u64().expect("bytes");
         let (chosen, forced) = trials.split_last().expect("trials");
-        assert_eq!(forced.len(), 6, "tables, position, three planes, neighbours");
+        assert_eq!(forced.len(), 6, "tables, position, three planes, neighbors");
         assert!(
             chosen["context"].as_str().is_some_and(|context| context.starts_with("the encoder's choice"))
         );
@@ -30,7 +30,7 @@ fn every_context_codes_every_part_and_the_choice_is_the_smallest() {
         }
     }
     let table = succeeds(["bench", "contexts", SCENE, "--anchors", "64", "--steps", "1"]);
-    assert!(table.contains("64 anchors") && table.contains("planes of 64, neighbours"), "{table}");
+    assert!(table.contains("64 anchors") && table.contains("planes of 64, neighbors"), "{table}");
 }
 
 #[test]

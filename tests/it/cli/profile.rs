@@ -28,8 +28,8 @@ fn a_profile_shows_every_stage_of_a_step_and_leaves_the_file_as_it_was() {
         .filter(|row| row["recording"] == "step" && row["kernel"].is_null())
         .map(|row| row["stage"].as_str().expect("a name"))
         .collect();
-    let expected = ["model forward", "rasteriser forward", "loss", "rasteriser backward", "model backward"];
-    for stage in expected.iter().chain(&["context model", "masks", "optimiser", "submit", "wait"]) {
+    let expected = ["model forward", "rasterizer forward", "loss", "rasterizer backward", "model backward"];
+    for stage in expected.iter().chain(&["context model", "masks", "optimizer", "submit", "wait"]) {
         assert!(stages.contains(stage), "{stage}: {stages:?}");
     }
     let blending = rows.iter().find(|row| row["kernel"] == "raster_forward").expect("a row of the kernel");

@@ -12,3 +12,4 @@ mod plots;
 mod problems;
 mod retired_words;
 mod sentences;
+mod us_spelling;

@@ -21,7 +21,7 @@ fn listed() -> BTreeMap<String, String> {
 }
 
 #[test]
-fn the_catalogue_lists_every_problem_type_with_its_status_and_no_other() {
+fn the_catalog_lists_every_problem_type_with_its_status_and_no_other() {
     let mut listed = listed();
     for kind in ProblemType::ALL {
         let stated = listed.remove(kind.name()).unwrap_or_else(|| panic!("{} is not listed", kind.name()));

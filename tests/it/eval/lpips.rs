@@ -30,7 +30,7 @@ fn named<'a>(tensors: &'a mut [Tensor], name: &str) -> &'a mut Tensor {
     tensors.iter_mut().find(|tensor| tensor.name == name).expect("a tensor of this name")
 }
 
-/// The oracle's images: a coloured gradient, and the same with every third sample disturbed.
+/// The oracle's images: a colored gradient, and the same with every third sample disturbed.
 fn images(width: u32, height: u32) -> (Image, Image) {
     let clean: Vec<u8> = (0..height)
         .flat_map(|y| (0..width).flat_map(move |x| (0..3).map(move |c| (x, y, c))))

@@ -321,7 +321,7 @@ pub(super) async fn keys_are_made_listed_and_revoked_by_administrators(coverage:
         (json!({ "name": "x", "scopes": ["write"] }), "write"),
         (json!({ "name": "x", "scopes": ["read"], "requests_per_minute": 0 }), "nonzero"),
         (json!({ "name": "x", "scopes": ["read"], "max_bytes": -1 }), "-1"),
-        (json!({ "name": "x", "scopes": ["read"], "colour": "red" }), "colour"),
+        (json!({ "name": "x", "scopes": ["read"], "color": "red" }), "color"),
         (json!({ "scopes": ["read"] }), "name"),
     ] {
         let detail = post(request_body.clone()).await.expect_problem(422, "invalid-key-request");
@@ -342,7 +342,7 @@ pub(super) async fn keys_are_made_listed_and_revoked_by_administrators(coverage:
     assert_eq!(page["keys"].as_array().map(Vec::len), Some(1));
     let rest = list(page["next"].as_str().expect("another page")).await;
     assert_eq!((rest["keys"].as_array().map(Vec::len), &rest["next"]), (Some(1), &Value::Null));
-    for query in ["?limit=0", "?cursor=17", "?revoked=maybe", "?colour=red"] {
+    for query in ["?limit=0", "?cursor=17", "?revoked=maybe", "?color=red"] {
         with_key(&server, "GET", &format!("/v1/keys{query}"), &admin)
             .await
             .expect_problem(422, "invalid-parameter");

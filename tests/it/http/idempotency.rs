@@ -199,7 +199,7 @@ pub(super) async fn an_answer_waits_for_the_job_as_long_as_is_preferred(coverage
         server.post(&format!("{waiting}/cancel")).await.expect(202)
     });
     assert_eq!(shown.expect(200).json()["state"], "cancelled");
-    let plain = prefer("GET", waiting, "colour=red", None).await.expect(200);
+    let plain = prefer("GET", waiting, "color=red", None).await.expect(200);
     assert!(!plain.headers.contains_key("preference-applied"));
 }
 

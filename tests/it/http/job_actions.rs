@@ -67,7 +67,7 @@ pub(super) async fn a_job_is_made_of_a_scene_by_json(coverage: Coverage) {
         (json!({ "scene_id": scene, "priority": 101 }), "invalid-parameter", "priority"),
         (json!({ "scene_id": scene, "deadline_s": 0 }), "invalid-parameter", "deadline_s"),
         (json!({ "scene_id": scene, "seed": "3" }), "invalid-option", "seed"),
-        (json!({ "scene_id": scene, "colour": "red" }), "invalid-option", "colour"),
+        (json!({ "scene_id": scene, "color": "red" }), "invalid-option", "color"),
         (json!({ "scene_id": scene, "max_bytes": 1, "model": "3dgs" }), "invalid-option", "max_bytes"),
         (json!([scene]), "invalid-parameter", "body"),
     ] {

@@ -85,7 +85,7 @@ pub(super) async fn what_is_wrong_with_a_dataset_or_an_option_is_said_before_a_j
         ("?preset=fast", "preset"),
         ("?iterations=0", "iterations"),
         ("?iterations=many", "iterations"),
-        ("?colour=red", "colour"),
+        ("?color=red", "color"),
         ("?model=nerf", "model"),
         ("?max_bytes=0", "max_bytes"),
         ("?max_bytes=10", "max_bytes"),

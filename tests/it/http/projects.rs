@@ -153,7 +153,7 @@ pub(super) async fn projects_are_made_changed_and_listed_by_administrators(cover
             (json!({ "name": "x", "max_bytes": 1_u64 << 63 }), "max_bytes"),
             (json!({ "name": "x", "max_priority": 101 }), "max_priority"),
             (json!({ "name": "x", "max_running_jobs": -1 }), "-1"),
-            (json!({ "name": "x", "colour": "red" }), "colour"),
+            (json!({ "name": "x", "color": "red" }), "color"),
         ] {
             let detail =
                 ask(method, place, fault.clone()).await.expect_problem(422, "invalid-project-request");
@@ -176,7 +176,7 @@ pub(super) async fn projects_are_made_changed_and_listed_by_administrators(cover
     }
     assert_eq!(all.len(), 4, "the administrator's, the other key's, the one made here, and the default one");
     assert_eq!((&all[0], &all[3]), (&body["id"], &json!(ProjectId::DEFAULT.to_string())));
-    for query in ["?limit=0", "?cursor=17", "?colour=red"] {
+    for query in ["?limit=0", "?cursor=17", "?color=red"] {
         let answer = with(&server, &admin, "GET", &format!("/v1/projects{query}"), None).await;
         answer.expect_problem(422, "invalid-parameter");
     }
@@ -312,7 +312,7 @@ pub(super) async fn usage_is_shown_by_project(coverage: Coverage) {
     get(&admin, "?project_id=0190a5d8-0000-7000-8000-000000000000")
         .await
         .expect_problem(404, "project-not-found");
-    get(&mine, "?colour=red").await.expect_problem(422, "invalid-parameter");
+    get(&mine, "?color=red").await.expect_problem(422, "invalid-parameter");
     let (mut seen, mut next) = (Vec::new(), Some("/v1/usage?limit=3".to_owned()));
     while let Some(path) = next {
         let page = with(&server, &admin, "GET", &path, None).await.expect(200).json();

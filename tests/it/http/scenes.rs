@@ -122,7 +122,7 @@ pub(super) async fn what_cannot_be_a_scene_is_refused_before_there_is_one(covera
         ("{", 400, "malformed-json"),
         ("{}", 422, "invalid-parameter"),
         (r#"{"upload_id": 7}"#, 422, "invalid-parameter"),
-        (r#"{"upload_id": "7", "colour": 1}"#, 422, "invalid-parameter"),
+        (r#"{"upload_id": "7", "color": 1}"#, 422, "invalid-parameter"),
         (r#"{"upload_id": "7", "name": ""}"#, 422, "invalid-parameter"),
         (r#"{"upload_id": "7"}"#, 404, "upload-not-found"),
     ] {

@@ -88,14 +88,14 @@ async fn an_orbit_has_what_it_goes_around_in_the_middle_of_each_picture() {
     let matrix = pose.camera_to_world(Convention::Opencv);
     let rows: Vec<[f64; 4]> = (0..4).map(|row| matrix.row(row).to_array()).collect();
     let view = json!({ "camera_to_world": rows, "convention": "opencv", "fx": 50, "fy": 55, "width": 40, "height": 32 });
-    let centred = |cx: f64, cy: f64| {
+    let centered = |cx: f64, cy: f64| {
         let mut view = view.clone();
         (view["cx"], view["cy"]) = (json!(cx), json!(cy));
         json!({ "views": [view] })
     };
-    let view = server.post_json(&format!("{job}/views"), &centred(20.0, 16.0)).await.expect(200);
+    let view = server.post_json(&format!("{job}/views"), &centered(20.0, 16.0)).await.expect(200);
     assert_eq!(view.body, shown);
-    let view = server.post_json(&format!("{job}/views"), &centred(21.0, 15.5)).await.expect(200);
+    let view = server.post_json(&format!("{job}/views"), &centered(21.0, 15.5)).await.expect(200);
     assert_ne!(view.body, shown);
 }
 

@@ -113,14 +113,14 @@ pub(super) async fn depth_and_alpha_are_served_as_pictures_and_as_numbers(covera
     let depths = floats(&array.body);
     let depth = view("output=depth").await;
     let scale: f64 = depth.header("x-depth-scale").parse().expect("a number");
-    let image::DynamicImage::ImageLuma16(steps) = picture_of(&depth.body) else { panic!("16-bit grey") };
+    let image::DynamicImage::ImageLuma16(steps) = picture_of(&depth.body) else { panic!("16-bit gray") };
     assert_eq!((steps.width(), steps.height(), steps.as_raw()[0]), (40, 32, 0));
     for (step, depth) in steps.as_raw().iter().zip(&depths) {
         assert!((f64::from(*step) * scale - f64::from(*depth)).abs() <= 0.5 * scale);
     }
     let alphas = floats(&view("output=alpha&format=npy").await.body);
     let image::DynamicImage::ImageLuma8(levels) = picture_of(&view("output=alpha").await.body) else {
-        panic!("8-bit grey")
+        panic!("8-bit gray")
     };
     for (level, alpha) in levels.as_raw().iter().zip(&alphas) {
         assert_eq!(f32::from(*level), (alpha * 255.0).round());

@@ -188,7 +188,7 @@ pub fn metrics() -> JobMetrics {
 /// The pictures of every fake job: one view, whose name is as hostile as a zip may make it.
 pub fn held_out() -> HeldOut {
     let score = ViewScore { name: HOSTILE.into(), psnr: 30.0, ssim: 0.9, lpips: None };
-    let picture = |colour: &str| colour.to_owned();
+    let picture = |color: &str| color.to_owned();
     HeldOut {
         of: 2,
         ceiling: 0.2,
@@ -208,7 +208,7 @@ pub fn held_out() -> HeldOut {
 /// A name that would be markup, an attribute's end and a script if it were not escaped.
 pub const HOSTILE: &str = "\"'><script>alert(1)</script><img src=//evil.example/x onerror=alert(1)>&amp;";
 
-/// The dataset cameras of every fake job: an off-centre principal point and unequal focal lengths.
+/// The dataset cameras of every fake job: an off-center principal point and unequal focal lengths.
 pub fn cameras() -> Vec<NamedCamera> {
     let camera = |x: f64| Camera {
         intrinsics: Intrinsics { fx: 50.0, fy: 55.0, cx: 21.0, cy: 15.5, width: 40, height: 32 },
@@ -225,7 +225,7 @@ pub fn cameras() -> Vec<NamedCamera> {
         .collect()
 }
 
-/// Paints a picture whose colours tell the camera apart (to six decimals). A width of 13 panics, 14 loses the device, 15
+/// Paints a picture whose colors tell the camera apart (to six decimals). A width of 13 panics, 14 loses the device, 15
 /// lacks memory, 17 waits at the gate; a height of 18 loses the device with every picture of it
 /// but the first.
 #[derive(Debug, Default, Clone)]

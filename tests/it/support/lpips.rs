@@ -88,5 +88,5 @@ pub fn file(tensors: &[Tensor]) -> Vec<u8> {
         let view = TensorView::new(tensor.dtype, tensor.shape.clone(), &tensor.bytes).expect("a tensor");
         (tensor.name.as_str(), view)
     });
-    safetensors::serialize(views, None).expect("serialised")
+    safetensors::serialize(views, None).expect("serialized")
 }

@@ -42,7 +42,7 @@ pub const CASES: [(&str, f64); 16] = [
 pub struct Oracle {
     bytes: Vec<u8>,
     culled: bool,
-    /// Colours after spherical harmonics, before the clamp at zero is differentiated.
+    /// Colors after spherical harmonics, before the clamp at zero is differentiated.
     pub colors: Rows,
 }
 
@@ -113,7 +113,7 @@ impl Oracle {
         (rotation, DVec3::new(m[0][3], m[1][3], m[2][3]))
     }
 
-    /// The camera centre.
+    /// The camera center.
     pub fn eye(&self) -> DVec3 {
         let (rotation, translation) = self.view();
         -(rotation.transpose() * translation)
@@ -153,7 +153,7 @@ impl Oracle {
         rgb.iter().zip(self.numbers("in.v_alpha")).map(|(v, alpha)| [v[0], v[1], v[2], alpha]).collect()
     }
 
-    /// The Gaussians, coloured.
+    /// The Gaussians, colored.
     pub fn gaussians(&self) -> Vec<Gaussian> {
         let (means, scales) = (self.rows("in.means", 3), self.rows("in.scales", 3));
         let (quats, opacities) = (self.rows("in.quats", 4), self.numbers("in.opacities"));

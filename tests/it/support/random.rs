@@ -27,7 +27,7 @@ pub fn gaussians(seed: u64, count: usize, size: f64) -> Vec<Gaussian> {
         .collect()
 }
 
-/// A camera at distance 4 that looks at the box, off centre, with unequal focal lengths.
+/// A camera at distance 4 that looks at the box, off center, with unequal focal lengths.
 pub fn camera(width: u32, height: u32) -> Camera {
     let side = f64::from(width.max(height));
     let intrinsics = Intrinsics {

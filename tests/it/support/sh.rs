@@ -1,4 +1,4 @@
-//! Spherical harmonics of degree 3, as the oracles colour their Gaussians: max(SH + 0.5, 0).
+//! Spherical harmonics of degree 3, as the oracles color their Gaussians: max(SH + 0.5, 0).
 
 use glam::DVec3;
 
@@ -35,7 +35,7 @@ fn raw_color(mean: &[f64], sh: &[f64], eye: DVec3) -> DVec3 {
     (0..16).map(|k| basis[k] * DVec3::new(sh[3 * k], sh[3 * k + 1], sh[3 * k + 2])).sum::<DVec3>() + 0.5
 }
 
-/// Colours of all Gaussians; `sh` has 48 numbers a row.
+/// Colors of all Gaussians; `sh` has 48 numbers a row.
 pub fn sh_colors(means: &Rows, sh: &Rows, eye: DVec3) -> Rows {
     means
         .iter()
@@ -44,7 +44,7 @@ pub fn sh_colors(means: &Rows, sh: &Rows, eye: DVec3) -> Rows {
         .collect()
 }
 
-/// Gradients by the coefficients (48 a row) and by the means (3 a row) from those by the colours.
+/// Gradients by the coefficients (48 a row) and by the means (3 a row) from those by the colors.
 pub fn sh_backward(means: &Rows, sh: &Rows, eye: DVec3, v_colors: &Rows) -> (Rows, Rows) {
     let mut v_sh = Vec::new();
     let mut v_means = Vec::new();

@@ -41,6 +41,6 @@ async fn the_client_in_python_trains_a_scene_at_the_real_service() {
     let view = picture(&fs::read(at("view.png")).expect("a file"));
     assert_eq!((view.width(), view.height()), (24, 24));
     let colors: std::collections::BTreeSet<&[u8]> = view.as_bytes().chunks(3).collect();
-    assert!(colors.len() > 20, "{} colours are no picture of the scene", colors.len());
+    assert!(colors.len() > 20, "{} colors are no picture of the scene", colors.len());
     assert!(service.stop().await.success());
 }

@@ -203,7 +203,7 @@ fn check_metrics(job: &Value) {
     let stated = metrics["conventions"]["lpips"].as_str().expect("a phrase");
     assert!(stated.starts_with("lpips-alex-v0.1"), "{stated}");
     let lost = number(&metrics["psnr_before_quantisation"]) - number(&metrics["test"]["psnr"]);
-    assert_psnr("what quantisation costs", lost, 0.0);
+    assert_psnr("what quantization costs", lost, 0.0);
     assert_bytes("the file", number(&metrics["bytes"]["total"]) as u64, 17_258);
     let bytes = metrics["bytes"].as_object().expect("byte counts");
     let parts: u64 =
@@ -329,7 +329,7 @@ async fn check_views(service: &Service, path: &str, scene: &Scene, file: &Path) 
     let seen = picture(&by_frame.body);
     assert_eq!((seen.width(), seen.height()), (SIDE, SIDE));
     let colors: BTreeSet<&[u8]> = seen.as_bytes().chunks(3).collect();
-    assert!(colors.len() > 100, "a picture of something has more than {} colours", colors.len());
+    assert!(colors.len() > 100, "a picture of something has more than {} colors", colors.len());
 
     let [opengl, opencv] = poses(&scene.directory().join("transforms.json"));
     for view in [&opengl, &opencv, &json!({ "frame": "view_06" })] {
@@ -612,7 +612,7 @@ fn the_background_of_a_set_with_alpha_is_the_one_that_was_asked_for() {
     assert_eq!(measured["test"], metrics["test"]);
 }
 
-/// A grey ball before nothing, in the Blender layout: RGBA images, transparent outside the ball.
+/// A gray ball before nothing, in the Blender layout: RGBA images, transparent outside the ball.
 fn write_ball(folder: &Path) {
     const SIDE: u32 = 16;
     let fov = 0.7_f64;

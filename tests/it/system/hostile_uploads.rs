@@ -240,7 +240,7 @@ fn points_of_a_binary_model() -> Vec<u8> {
     archive.write(&count.to_le_bytes());
     archive.fill(blocks * records * RECORD, |noise| {
         let mut block = vec![0; records * RECORD];
-        // Ids and colours are free: they hold what cannot be compressed.
+        // Ids and colors are free: they hold what cannot be compressed.
         for (record, part) in block.chunks_exact_mut(RECORD).zip(noise.chunks_exact(8)) {
             record[..8].copy_from_slice(part);
         }
@@ -260,7 +260,7 @@ fn header_of_a_point_cloud() -> Vec<u8> {
     archive.finish()
 }
 
-/// PNG files whose colour profile unpacks to 200 MiB.
+/// PNG files whose color profile unpacks to 200 MiB.
 fn profiles() -> Vec<u8> {
     let mut packed = flate2::write::ZlibEncoder::new(Vec::new(), flate2::Compression::fast());
     for _ in 0..200 {
@@ -349,7 +349,7 @@ async fn no_upload_takes_more_than_128_mib_of_the_service() {
             "",
         ),
         ("a point cloud's header", header_of_a_point_cloud, 422, "no end_header"),
-        ("a colour profile", profiles, 0, ""),
+        ("a color profile", profiles, 0, ""),
     ];
     let pid = service.pid();
     for (what, upload, status, words) in uploads {

@@ -1,4 +1,4 @@
-//! The optimiser on the device against its twin, and gradients that are none.
+//! The optimizer on the device against its twin, and gradients that are none.
 
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
@@ -160,7 +160,7 @@ fn every_element_learns_at_its_own_rate() {
     let device = gpu();
     let adam = Adam::new(&device).expect("the kernel");
     let no = device.upload("overflow flag", &[0]).expect("a buffer");
-    // The kernel steps four neighbours at a time: tables shorter than that, and lengths that it does not divide.
+    // The kernel steps four neighbors at a time: tables shorter than that, and lengths that it does not divide.
     for rates in [&[0.1_f32][..], &[0.1, 0.2], &[0.1, 0.2, 0.3], &[0.1, 0.2, 0.3, 0.4, 0.5]] {
         for count in [1, 4, 7, 600] {
             let values = device.upload("values", &vec![0.0_f32; count]).expect("room");

@@ -15,7 +15,7 @@ fn run(dataset: &std::path::Path, options: &TrainOptions) -> JobOutput {
         .expect("a file")
 }
 
-/// In so short a run learning rates are at the edge of what networks bear, and whatever the change of basis does to the optimiser
+/// In so short a run learning rates are at the edge of what networks bear, and whatever the change of basis does to the optimizer
 /// shows within its last steps.
 #[test]
 fn a_short_run_keeps_its_picture_in_the_features_own_basis_and_its_file_is_smaller() {

@@ -23,7 +23,7 @@ use tempfile::TempDir;
 
 use crate::support::{gpu, program, small_disk::SmallDisk};
 
-/// A folder of photographs of a colourful ball of nothing, from a circle around it, with the sizes repeated in turn.
+/// A folder of photographs of a colorful ball of nothing, from a circle around it, with the sizes repeated in turn.
 fn folder(frames: usize, sizes: &[(u32, u32)]) -> TempDir {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let listed: Vec<Value> = (0..frames)

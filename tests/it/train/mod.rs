@@ -1,4 +1,4 @@
-//! Training: the loss, the rate and its networks, the optimiser, checkpoints, memory, and runs from end to end.
+//! Training: the loss, the rate and its networks, the optimizer, checkpoints, memory, and runs from end to end.
 
 mod adam;
 mod basis;

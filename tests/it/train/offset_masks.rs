@@ -152,7 +152,7 @@ fn gradients_steps_and_bits_match_the_twins() {
 }
 
 #[test]
-fn masked_offsets_reach_neither_the_count_of_gaussians_nor_the_rasteriser() {
+fn masked_offsets_reach_neither_the_count_of_gaussians_nor_the_rasterizer() {
     let device = gpu();
     let camera = random::camera(40, 30);
     let (scene, _) = masked_scene(11, SMALL, 200, &camera);
@@ -164,7 +164,7 @@ fn masked_offsets_reach_neither_the_count_of_gaussians_nor_the_rasteriser() {
         let mut gaussians =
             NeuralGaussians::new(Arc::clone(&device), SMALL, 0.2, SceneScale::DEFAULT).expect("the kernels");
         let mut raster =
-            Rasterizer::new(Arc::clone(&device), RasterSettings::default()).expect("a rasteriser");
+            Rasterizer::new(Arc::clone(&device), RasterSettings::default()).expect("a rasterizer");
         loop {
             let mut recorder = device.recorder("view");
             gaussians.forward(&mut recorder, &device_anchors, &camera, 0.0).expect("recorded");

@@ -1,4 +1,4 @@
-//! Training from end to end on a scene of a few coloured blobs.
+//! Training from end to end on a scene of a few colored blobs.
 
 use glam::DVec3;
 use rand::{RngExt, SeedableRng};
@@ -335,7 +335,7 @@ fn plain_gaussians_of_one_seed_are_the_same_bits_and_of_another_are_not() {
     assert!(counts[5] > counts[0], "the round of growth is part of the test: {counts:?}");
     assert!(first.scene == second.scene);
     let brightest = plain_scene(&first.scene).sh.iter().map(|sh| sh[0][0]).fold(f32::MIN, f32::max);
-    assert!(brightest > -1.7, "points that begin black learn their colour: {brightest}");
+    assert!(brightest > -1.7, "points that begin black learn their color: {brightest}");
     let (short, _) = run(&dataset, &plain(5, 7));
     let (other, _) = run(&dataset, &plain(5, 8));
     assert!(short.scene != other.scene);

@@ -1,14 +1,14 @@
-//! The inputs of the context networks for each anchor: samples of the planes at the anchor and at its neighbours, and its position.
+//! The inputs of the context networks for each anchor: samples of the planes at the anchor and at its neighbors, and its position.
 
 use rayon::prelude::*;
 
 use super::{
-    coordinates, neighbours, position_inputs, texels,
+    coordinates, neighbors, position_inputs, texels,
     texels::{PLANES, PlaneTexels},
 };
 use crate::domain::{
     ContextFrame,
-    context_model::{ContextKind, NEIGHBOURS},
+    context_model::{ContextKind, NEIGHBORS},
 };
 
 /// Anchors that are worth a task of their own.
@@ -22,8 +22,8 @@ pub(crate) struct AnchorContext {
     width: usize,
     /// `[N][width]`.
     samples: Vec<i16>,
-    /// Empty if no network uses neighbours.
-    neighbours: Vec<[u32; NEIGHBOURS]>,
+    /// Empty if no network uses neighbors.
+    neighbors: Vec<[u32; NEIGHBORS]>,
 }
 
 impl AnchorContext {
@@ -33,25 +33,25 @@ impl AnchorContext {
         Self { coordinates, ..Self::default() }
     }
 
-    /// Finds each anchor's neighbours.
-    pub(crate) fn find_neighbours(&mut self, cells: &[[i32; 3]]) {
-        let _stage = tracing::debug_span!("neighbours").entered();
-        self.neighbours = neighbours(cells);
+    /// Finds each anchor's neighbors.
+    pub(crate) fn find_neighbors(&mut self, cells: &[[i32; 3]]) {
+        let _stage = tracing::debug_span!("neighbors").entered();
+        self.neighbors = neighbors(cells);
     }
 
-    /// Sets the result of [`Self::find_neighbours`].
-    pub(crate) fn set_neighbours(&mut self, neighbours: Vec<[u32; NEIGHBOURS]>) {
-        self.neighbours = neighbours;
+    /// Sets the result of [`Self::find_neighbors`].
+    pub(crate) fn set_neighbors(&mut self, neighbors: Vec<[u32; NEIGHBORS]>) {
+        self.neighbors = neighbors;
     }
 
-    /// Moves the neighbours out.
-    pub(crate) fn take_neighbours(&mut self) -> Vec<[u32; NEIGHBOURS]> {
-        std::mem::take(&mut self.neighbours)
+    /// Moves the neighbors out.
+    pub(crate) fn take_neighbors(&mut self) -> Vec<[u32; NEIGHBORS]> {
+        std::mem::take(&mut self.neighbors)
     }
 
     /// Whether they were found.
-    pub(crate) fn has_neighbours(&self) -> bool {
-        !self.neighbours.is_empty()
+    pub(crate) fn has_neighbors(&self) -> bool {
+        !self.neighbors.is_empty()
     }
 
     /// Samples the planes at each anchor.
@@ -66,10 +66,10 @@ impl AnchorContext {
         );
     }
 
-    /// Bytes of memory for an anchor, with planes of `channels` channels each, with or without neighbours.
-    pub(crate) fn bytes_per_anchor(channels: usize, neighbours: bool) -> u64 {
-        // Coordinates; samples; neighbours by rank and by index, and the sort keys and boxes of their search.
-        12 + 2 * (PLANES * channels) as u64 + if neighbours { 2 * 16 + 24 + 4 + 8 } else { 0 }
+    /// Bytes of memory for an anchor, with planes of `channels` channels each, with or without neighbors.
+    pub(crate) fn bytes_per_anchor(channels: usize, neighbors: bool) -> u64 {
+        // Coordinates; samples; neighbors by rank and by index, and the sort keys and boxes of their search.
+        12 + 2 * (PLANES * channels) as u64 + if neighbors { 2 * 16 + 24 + 4 + 8 } else { 0 }
     }
 
     /// Writes the inputs of a network of `kind` for an anchor to `inputs`.
@@ -80,7 +80,7 @@ impl AnchorContext {
             ContextKind::Position => {}
             ContextKind::TriPlane => inputs.extend_from_slice(sample(anchor)),
             ContextKind::TriPlaneKnn => {
-                self.neighbours[anchor]
+                self.neighbors[anchor]
                     .iter()
                     .for_each(|near| inputs.extend_from_slice(sample(*near as usize)));
             }

@@ -70,7 +70,7 @@ pub struct ContextSettings {
     pub search: ContextSearch,
     /// Whether to use regressions within an anchor.
     pub regression: RegressionSearch,
-    /// By how many steps of the step table (7/32 of an octave each) the features, scalings and offsets are quantised more
+    /// By how many steps of the step table (7/32 of an octave each) the features, scalings and offsets are quantized more
     /// coarsely than trained; negative is finer. This and not a larger base step is how to save bytes where there are
     /// networks: their predictions are in base steps.
     pub coarser: [i8; 3],

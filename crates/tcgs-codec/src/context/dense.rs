@@ -122,7 +122,7 @@ pub(crate) fn shifted(sum: i32, shift: u8, bias: i32) -> i32 {
 /// Integers of one row: the largest shift with which every weight stays within `limit`, and the nearest integers.
 ///
 /// A row of zeros has shift 0.
-pub(crate) fn quantise_row(row: &[f32], limit: i32) -> (u8, Vec<i16>) {
+pub(crate) fn quantize_row(row: &[f32], limit: i32) -> (u8, Vec<i16>) {
     let limit = limit as f32;
     let largest = row.iter().fold(0.0_f32, |largest, weight| largest.max(weight.abs()));
     let scale = |shift: u8| (1_u32 << shift) as f32;
@@ -133,7 +133,7 @@ pub(crate) fn quantise_row(row: &[f32], limit: i32) -> (u8, Vec<i16>) {
 }
 
 /// A bias in 2^-8.
-pub(crate) fn quantise_bias(bias: f32) -> i32 {
+pub(crate) fn quantize_bias(bias: f32) -> i32 {
     let limit = crate::symbols::MAX_SYMBOL as f32;
     (bias * 256.0).round_ties_even().clamp(-limit, limit) as i32
 }
@@ -143,9 +143,9 @@ impl IntegerLayer {
         self.bias.len()
     }
 
-    fn quantise(layer: &DenseLayer, bits: WeightBits) -> Self {
+    fn quantize(layer: &DenseLayer, bits: WeightBits) -> Self {
         let rows: Vec<(u8, Vec<i16>)> =
-            layer.weights.chunks(layer.inputs).map(|row| quantise_row(row, bits.limit())).collect();
+            layer.weights.chunks(layer.inputs).map(|row| quantize_row(row, bits.limit())).collect();
         let stride = padded(layer.inputs);
         let mut weights = vec![0; stride * rows.len()];
         for (place, (_, row)) in weights.chunks_mut(stride).zip(&rows) {
@@ -155,7 +155,7 @@ impl IntegerLayer {
             inputs: layer.inputs,
             shifts: rows.iter().map(|(shift, _)| *shift).collect(),
             weights,
-            bias: layer.bias.iter().copied().map(quantise_bias).collect(),
+            bias: layer.bias.iter().copied().map(quantize_bias).collect(),
         }
     }
 
@@ -208,8 +208,8 @@ pub(crate) struct Activations {
 
 impl IntegerMlp {
     /// The integers of a network whose layers fit each other.
-    pub(crate) fn quantise(mlp: &Mlp, bits: WeightBits) -> Self {
-        Self { layers: mlp.layers.iter().map(|layer| IntegerLayer::quantise(layer, bits)).collect(), bits }
+    pub(crate) fn quantize(mlp: &Mlp, bits: WeightBits) -> Self {
+        Self { layers: mlp.layers.iter().map(|layer| IntegerLayer::quantize(layer, bits)).collect(), bits }
     }
 
     /// The network as floats.
@@ -421,7 +421,7 @@ mod tests {
         let mut random = Pcg64Mcg::seed_from_u64(1);
         for width in [8, 6, 4] {
             let mlp = mlp(&mut random, &[108, 32, 16, 13]);
-            let integers = IntegerMlp::quantise(&mlp, bits(width));
+            let integers = IntegerMlp::quantize(&mlp, bits(width));
             let floats = integers.as_floats();
             for _ in 0..50 {
                 let input: Vec<i16> = (0..108).map(|_| random.random_range(-512..=512)).collect();
@@ -440,7 +440,7 @@ mod tests {
         let mut random = Pcg64Mcg::seed_from_u64(2);
         for width in [8, 6, 4] {
             let mlp = mlp(&mut random, &[40, 9]);
-            let floats = IntegerMlp::quantise(&mlp, bits(width)).as_floats();
+            let floats = IntegerMlp::quantize(&mlp, bits(width)).as_floats();
             let limit = bits(width).limit() as f32;
             for (row, back) in mlp.layers[0].weights.chunks(40).zip(floats.layers[0].weights.chunks(40)) {
                 let largest = row.iter().fold(0.0_f32, |most, w| most.max(w.abs()));
@@ -450,7 +450,7 @@ mod tests {
             }
             let bias = mlp.layers[0].bias.iter().zip(&floats.layers[0].bias);
             assert!(bias.clone().all(|(a, b)| (a - b).abs() <= 0.5 / 256.0));
-            let again = IntegerMlp::quantise(&floats, bits(width));
+            let again = IntegerMlp::quantize(&floats, bits(width));
             assert_eq!(again.as_floats(), floats, "the stored form is a fixed point");
         }
     }
@@ -481,7 +481,7 @@ mod tests {
     fn networks_come_back_and_what_is_out_of_range_is_refused() {
         let mut random = Pcg64Mcg::seed_from_u64(3);
         for width in [8, 6, 4] {
-            let mlp = IntegerMlp::quantise(&mlp(&mut random, &[18, 16, 7]), bits(width));
+            let mlp = IntegerMlp::quantize(&mlp(&mut random, &[18, 16, 7]), bits(width));
             let bytes = mlp.encode();
             let read = |bytes: &[u8], inputs, outputs| {
                 IntegerMlp::decode("test", &mut Reader::new("test", bytes), inputs, outputs, u64::MAX)
@@ -518,7 +518,7 @@ mod tests {
         };
         let read = |widths: &[usize]| {
             let (inputs, outputs) = (widths[0], widths[widths.len() - 1]);
-            let mlp = IntegerMlp::quantise(&constant(widths), bits(8));
+            let mlp = IntegerMlp::quantize(&constant(widths), bits(8));
             let bytes = mlp.encode();
             let read =
                 IntegerMlp::decode("test", &mut Reader::new("test", &bytes), inputs, outputs, u64::MAX)?;
@@ -546,7 +546,7 @@ mod tests {
     #[test]
     fn the_memory_limit_covers_weights_and_rows() {
         let mut random = Pcg64Mcg::seed_from_u64(4);
-        let bytes = IntegerMlp::quantise(&mlp(&mut random, &[18, 40, 7]), bits(8)).encode();
+        let bytes = IntegerMlp::quantize(&mlp(&mut random, &[18, 40, 7]), bits(8)).encode();
         let read = IntegerMlp::decode("test", &mut Reader::new("test", &bytes), 18, 7, 1);
         let Err(DecodeError::Limit { value, limit: 1, .. }) = read else { panic!("{read:?}") };
         // Padded rows of 16 bits; a shift and a bias a row, first as 32 bits.
@@ -556,10 +556,10 @@ mod tests {
 
     #[test]
     fn rows_of_zeros_and_of_huge_or_tiny_weights_are_stored() {
-        assert_eq!(quantise_row(&[0.0, 0.0], 127), (0, vec![0, 0]));
-        assert_eq!(quantise_row(&[1000.0, -3.0], 127), (0, vec![127, -3]));
-        assert_eq!(quantise_row(&[1e-20, -1e-30], 127), (MAX_SHIFT, vec![0, 0]));
-        assert_eq!(quantise_row(&[0.5, -0.25], 7), (3, vec![4, -2]));
-        assert_eq!(quantise_bias(1e20), crate::symbols::MAX_SYMBOL);
+        assert_eq!(quantize_row(&[0.0, 0.0], 127), (0, vec![0, 0]));
+        assert_eq!(quantize_row(&[1000.0, -3.0], 127), (0, vec![127, -3]));
+        assert_eq!(quantize_row(&[1e-20, -1e-30], 127), (MAX_SHIFT, vec![0, 0]));
+        assert_eq!(quantize_row(&[0.5, -0.25], 7), (3, vec![4, -2]));
+        assert_eq!(quantize_bias(1e20), crate::symbols::MAX_SYMBOL);
     }
 }

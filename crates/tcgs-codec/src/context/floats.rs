@@ -1,12 +1,12 @@
 //! The context model in floats, as trained: the reference for the integers of a file. No file depends on it.
 
-use super::{coordinates, neighbours, position_inputs, texels};
+use super::{coordinates, neighbors, position_inputs, texels};
 use crate::domain::{ContextFrame, Mlp, Planes, context_model::ContextKind};
 
 /// Inputs of the float networks for each anchor.
 pub(crate) struct FloatAnchors {
     coordinates: Vec<[i32; 3]>,
-    neighbours: Vec<[u32; 4]>,
+    neighbors: Vec<[u32; 4]>,
     /// Texels along an edge of the planes, and their channels.
     edge: usize,
     channels: usize,
@@ -19,7 +19,7 @@ impl FloatAnchors {
     pub(crate) fn new(frame: &ContextFrame, cells: &[[i32; 3]], planes: Option<&Planes>) -> Self {
         Self {
             coordinates: coordinates(frame, cells),
-            neighbours: neighbours(cells),
+            neighbors: neighbors(cells),
             edge: planes.map_or(1, Planes::plane_edge),
             channels: planes.map_or(0, Planes::plane_channels),
             planes: planes.map(up_sampled).unwrap_or_default(),
@@ -29,7 +29,7 @@ impl FloatAnchors {
     /// Outputs of a network for an anchor: means, base-2 logarithms of standard deviations, and the step adjustment.
     pub(crate) fn outputs(&self, mlp: &Mlp, kind: ContextKind, anchor: usize) -> Vec<f64> {
         let mut values = Vec::new();
-        for near in &self.neighbours[anchor][..kind.sampled()] {
+        for near in &self.neighbors[anchor][..kind.sampled()] {
             self.sample(*near as usize, &mut values);
         }
         values.extend(position_inputs(self.coordinates[anchor]).map(|value| f64::from(value) / 256.0));

@@ -26,7 +26,7 @@ const LEFT_OUT: usize = 5;
 /// holds them, also where anchors crowd on one side. Without any anchor, the unit box at the origin.
 #[must_use]
 pub fn robust_frame(cells: &[[i32; 3]]) -> ContextFrame {
-    let mut frame = ContextFrame { centre: [0; 3], half: [1; 3] };
+    let mut frame = ContextFrame { center: [0; 3], half: [1; 3] };
     let Some(last) = cells.len().checked_sub(1) else { return frame };
     // By parts, as the product of a count and a percentage might not fit.
     let left_out = last / 100 * LEFT_OUT + last % 100 * LEFT_OUT / 100;
@@ -34,10 +34,10 @@ pub fn robust_frame(cells: &[[i32; 3]]) -> ContextFrame {
         let mut values: Vec<i32> = cells.iter().map(|cell| cell[axis]).collect();
         let low = *values.select_nth_unstable(left_out).1;
         let high = *values.select_nth_unstable(last - left_out).1;
-        let centre = low.midpoint(high);
-        frame.centre[axis] = centre;
+        let center = low.midpoint(high);
+        frame.center[axis] = center;
         // `midpoint` rounds towards zero: the farther of the two ends decides.
-        frame.half[axis] = high.abs_diff(centre).max(low.abs_diff(centre)).max(1);
+        frame.half[axis] = high.abs_diff(center).max(low.abs_diff(center)).max(1);
     }
     frame
 }
@@ -49,10 +49,10 @@ pub fn coordinates(frame: &ContextFrame, cells: &[[i32; 3]]) -> Vec<[i32; 3]> {
     cells.par_iter().map(|cell| contract(relative(frame, *cell))).collect()
 }
 
-/// (cell - centre) / half in 2^-16, at most [`MAX_RELATIVE`] in magnitude.
+/// (cell - center) / half in 2^-16, at most [`MAX_RELATIVE`] in magnitude.
 fn relative(frame: &ContextFrame, cell: [i32; 3]) -> [i64; 3] {
     std::array::from_fn(|axis| {
-        let distance = i64::from(cell[axis]) - i64::from(frame.centre[axis]);
+        let distance = i64::from(cell[axis]) - i64::from(frame.center[axis]);
         // |distance| < 2^32, so the product is below 2^48.
         let relative = distance * ONE / i64::from(frame.half[axis].max(1));
         relative.clamp(-MAX_RELATIVE, MAX_RELATIVE)
@@ -82,7 +82,7 @@ mod tests {
     /// The documented formula in 128 bits, where nothing can overflow.
     fn reference(frame: &ContextFrame, cell: [i32; 3]) -> [i32; 3] {
         let u: [i128; 3] = std::array::from_fn(|axis| {
-            let distance = i128::from(cell[axis]) - i128::from(frame.centre[axis]);
+            let distance = i128::from(cell[axis]) - i128::from(frame.center[axis]);
             ((distance << 16) / i128::from(frame.half[axis])).clamp(-(1 << 26), 1 << 26)
         });
         let square: i128 = u.iter().map(|x| x * x).sum();
@@ -103,7 +103,7 @@ mod tests {
     /// The paper's contraction in f64.
     fn exact(frame: &ContextFrame, cell: [i32; 3]) -> [f64; 3] {
         let u: [f64; 3] = std::array::from_fn(|axis| {
-            let distance = f64::from(cell[axis]) - f64::from(frame.centre[axis]);
+            let distance = f64::from(cell[axis]) - f64::from(frame.center[axis]);
             (distance / f64::from(frame.half[axis])).clamp(-1024.0, 1024.0)
         });
         let n = libm::sqrt(u.iter().map(|x| x * x).sum());
@@ -120,10 +120,10 @@ mod tests {
         #[test]
         fn coordinates_are_the_documented_integers_and_near_the_papers(
             cell in prop::array::uniform3(extreme()),
-            centre in prop::array::uniform3(extreme()),
+            center in prop::array::uniform3(extreme()),
             half in prop::array::uniform3(prop_oneof![1..=u32::MAX, 1..400_u32, Just(1), Just(u32::MAX)]),
         ) {
-            let frame = ContextFrame { centre, half };
+            let frame = ContextFrame { center, half };
             let [actual] = coordinates(&frame, &[cell])[..] else { panic!("one cell, one coordinate") };
             prop_assert_eq!(actual, reference(&frame, cell));
             prop_assert!(actual.iter().all(|v| v.abs() <= COORDINATE_LIMIT));
@@ -138,7 +138,7 @@ mod tests {
     #[test]
     fn the_frame_holds_nine_tenths_and_ignores_strays() {
         let mut cells: Vec<[i32; 3]> = (0..=1000).map(|x| [x - 200, 3 * x, 7]).collect();
-        let frame = ContextFrame { centre: [300, 1500, 7], half: [450, 1350, 1] };
+        let frame = ContextFrame { center: [300, 1500, 7], half: [450, 1350, 1] };
         assert_eq!(robust_frame(&cells), frame);
         cells[1000] = [i32::MAX, i32::MAX, 7];
         cells[0] = [i32::MIN, i32::MIN, 7];
@@ -149,8 +149,8 @@ mod tests {
 
     #[test]
     fn small_and_extreme_clouds_have_a_frame() {
-        assert_eq!(robust_frame(&[]), ContextFrame { centre: [0; 3], half: [1; 3] });
-        assert_eq!(robust_frame(&[[-5, 0, 9]]), ContextFrame { centre: [-5, 0, 9], half: [1; 3] });
+        assert_eq!(robust_frame(&[]), ContextFrame { center: [0; 3], half: [1; 3] });
+        assert_eq!(robust_frame(&[[-5, 0, 9]]), ContextFrame { center: [-5, 0, 9], half: [1; 3] });
         let frame = robust_frame(&[[i32::MIN; 3], [i32::MAX; 3]]);
         assert!(frame.half.iter().all(|half| *half >= 1 << 31), "{frame:?}");
         let corners = coordinates(&frame, &[[i32::MIN; 3], [i32::MAX; 3]]);
@@ -158,7 +158,7 @@ mod tests {
         assert!(corners.iter().flatten().all(|v| (53_827..=53_829).contains(&v.abs())), "{corners:?}");
         for pair in [[[3, 0, 0], [4, 0, 0]], [[-4, 0, 0], [-3, 0, 0]]] {
             let frame = robust_frame(&pair);
-            let inside = |cell: [i32; 3]| cell[0].abs_diff(frame.centre[0]) <= frame.half[0];
+            let inside = |cell: [i32; 3]| cell[0].abs_diff(frame.center[0]) <= frame.half[0];
             assert!(pair.into_iter().all(inside), "{frame:?}");
         }
     }

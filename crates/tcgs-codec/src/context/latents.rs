@@ -1,7 +1,7 @@
 //! Latents of planes as adaptive bits: each value is predicted from the previous one and the one above, if that pays.
 //!
 //! A plane's channels differ in amplitude and smoothness, and there are few values to learn them from. So the only side information is one
-//! bit a channel, whether to predict; the magnitude of a value is coded in the context of its neighbours' magnitudes.
+//! bit a channel, whether to predict; the magnitude of a value is coded in the context of its neighbors' magnitudes.
 
 use crate::{
     adaptive::AdaptiveBit,
@@ -75,9 +75,9 @@ fn digits(value: i32) -> usize {
 /// The probabilities, common to all images.
 struct Contexts {
     predicted: AdaptiveBit,
-    /// Whether a residual has more digits than so many, by the digits of its neighbours.
+    /// Whether a residual has more digits than so many, by the digits of its neighbors.
     digits: [[AdaptiveBit; DIGITS]; DIGITS + 1],
-    /// Signs, by the signs of the two neighbours.
+    /// Signs, by the signs of the two neighbors.
     sign: [AdaptiveBit; 9],
     /// Lower digits, by the number of digits and the place.
     lower: [[AdaptiveBit; DIGITS]; DIGITS + 1],

@@ -1,7 +1,7 @@
 //! The context model: what a decoder expects of an anchor's attributes, given what it already has.
 //!
 //! Everything from cells to distributions is integer arithmetic with proved ranges, so that every machine computes the
-//! same. Geometry (where an anchor lies on the planes, who its neighbours are) is public: training uses the very same
+//! same. Geometry (where an anchor lies on the planes, who its neighbors are) is public: training uses the very same
 //! integers as floats, and so sees what a decoder will see.
 
 mod anchors;
@@ -11,7 +11,7 @@ pub(super) mod floats;
 mod frame;
 mod latents;
 mod model;
-mod neighbours;
+mod neighbors;
 mod planes;
 mod position;
 pub(super) mod quant_steps;
@@ -29,7 +29,7 @@ pub(super) use regression::{ChannelRegression, GroupRegression, Regressions};
 
 pub use choice::{ContextChoice, ContextSearch, ContextSettings, GroupChoice, RegressionSearch};
 pub use frame::{COORDINATE_LIMIT, coordinates, robust_frame};
-pub use neighbours::neighbours;
+pub use neighbors::neighbors;
 pub use position::position_inputs;
 pub use stored::{stored_network, stored_planes};
 pub use texels::{Texel, texels};

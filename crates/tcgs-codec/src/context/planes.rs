@@ -65,14 +65,14 @@ impl IntegerPlanes {
     }
 
     /// The integers of planes that were checked.
-    pub(crate) fn quantise(planes: &Planes) -> Self {
+    pub(crate) fn quantize(planes: &Planes) -> Self {
         let limit = MAX_LATENT as f32;
         let latent = |value: &f32| (value * 16.0).round_ties_even().clamp(-limit, limit) as i8;
         Self {
             edge: planes.edge,
             channels: planes.channels,
             latents: planes.latents.iter().map(latent).collect(),
-            layers: planes.layers.iter().map(IntegerUpLayer::quantise).collect(),
+            layers: planes.layers.iter().map(IntegerUpLayer::quantize).collect(),
         }
     }
 
@@ -229,7 +229,7 @@ mod tests {
     fn up_sampling_follows_its_definition() {
         let mut random = Pcg64Mcg::seed_from_u64(4);
         for widths in [&[3][..], &[4, 5], &[3, 6, 4], &[2, 3, 3, 2]] {
-            let integers = IntegerPlanes::quantise(&planes(&mut random, 3, widths));
+            let integers = IntegerPlanes::quantize(&planes(&mut random, 3, widths));
             let exact = up_sampled(&integers.as_floats());
             let texels = integers.texels();
             let channels = *widths.last().expect("a width");
@@ -249,8 +249,8 @@ mod tests {
     fn the_stored_form_is_a_fixed_point_and_comes_back() {
         let mut random = Pcg64Mcg::seed_from_u64(5);
         for widths in [&[3][..], &[4, 5], &[2, 16, 8]] {
-            let integers = IntegerPlanes::quantise(&planes(&mut random, 5, widths));
-            assert_eq!(IntegerPlanes::quantise(&integers.as_floats()), integers);
+            let integers = IntegerPlanes::quantize(&planes(&mut random, 5, widths));
+            assert_eq!(IntegerPlanes::quantize(&integers.as_floats()), integers);
             let section = integers.encode();
             assert_eq!(IntegerPlanes::decode(&section, u64::MAX), Ok(integers.clone()));
             assert!(matches!(IntegerPlanes::decode(&section, 100), Err(DecodeError::Limit { .. })));
@@ -371,7 +371,7 @@ mod tests {
     #[test]
     fn samples_are_bilinear() {
         let mut random = Pcg64Mcg::seed_from_u64(7);
-        let texels = IntegerPlanes::quantise(&planes(&mut random, 6, &[3])).texels();
+        let texels = IntegerPlanes::quantize(&planes(&mut random, 6, &[3])).texels();
         let mut sample = vec![0; texels.sample_width()];
         for v in (-(1 << 17)..=1 << 17).step_by(3001) {
             let places = texels::texels([v, -v, v / 3], texels.edge());

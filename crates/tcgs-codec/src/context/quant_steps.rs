@@ -1,4 +1,4 @@
-//! Quantisation steps and distributions from a network's outputs: arithmetic profile 1.
+//! Quantization steps and distributions from a network's outputs: arithmetic profile 1.
 //!
 //! Steps differ from their base step by 7/32 of an octave times an index, the spacing of the 64 standard deviations. So an
 //! index serves both: one more makes the step one entry coarser and the standard deviation, in steps, one entry smaller.

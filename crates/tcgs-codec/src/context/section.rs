@@ -14,7 +14,7 @@ const PART: &str = "context";
 /// The context section; `networks` in the order of [`AttributeGroup::ALL`].
 pub(crate) fn encode(frame: &ContextFrame, networks: [Option<&ContextNetwork>; 3]) -> Vec<u8> {
     let mut writer = Writer::new();
-    frame.centre.iter().for_each(|cell| writer.signed(i64::from(*cell)));
+    frame.center.iter().for_each(|cell| writer.signed(i64::from(*cell)));
     frame.half.iter().for_each(|cells| writer.varint(u64::from(*cells)));
     for network in networks.into_iter().flatten() {
         let bytes = network.mlp.encode();
@@ -39,10 +39,10 @@ impl Layout {
     /// Reads the frame and finds the networks of a file with these kinds.
     pub(crate) fn read(section: &[u8], kinds: [Option<ContextKind>; 3]) -> Result<Self> {
         let mut reader = Reader::new(PART, section);
-        let mut frame = ContextFrame { centre: [0; 3], half: [1; 3] };
-        for cell in &mut frame.centre {
-            let value = reader.signed("centre")?;
-            *cell = i32::try_from(value).map_err(|_| reader.malformed("centre", value))?;
+        let mut frame = ContextFrame { center: [0; 3], half: [1; 3] };
+        for cell in &mut frame.center {
+            let value = reader.signed("center")?;
+            *cell = i32::try_from(value).map_err(|_| reader.malformed("center", value))?;
         }
         for cells in &mut frame.half {
             let value = reader.varint("half")?;
@@ -94,21 +94,21 @@ mod tests {
 
     #[test]
     fn the_frame_is_of_cells_and_has_an_extent_on_every_axis() {
-        let read = |centre: [i64; 3], half: [u64; 3]| {
+        let read = |center: [i64; 3], half: [u64; 3]| {
             let mut writer = Writer::new();
-            centre.iter().for_each(|cell| writer.signed(*cell));
+            center.iter().for_each(|cell| writer.signed(*cell));
             half.iter().for_each(|cells| writer.varint(*cells));
             Layout::read(&writer.into_bytes(), [None; 3]).map(|layout| layout.frame)
         };
-        let (centre, half) = ([i32::MIN, 0, i32::MAX], [1, 77, u32::MAX]);
-        let frame = ContextFrame { centre, half };
-        assert_eq!(read(centre.map(i64::from), half.map(u64::from)), Ok(frame));
+        let (center, half) = ([i32::MIN, 0, i32::MAX], [1, 77, u32::MAX]);
+        let frame = ContextFrame { center, half };
+        assert_eq!(read(center.map(i64::from), half.map(u64::from)), Ok(frame));
         for axis in 0..3 {
             for wrong in [i64::from(i32::MIN) - 1, 1 << 31, i64::MAX] {
-                let mut centre = [0; 3];
-                centre[axis] = wrong;
-                let error = read(centre, [1; 3]).expect_err("must be refused").to_string();
-                assert!(error.contains(&format!("centre is {wrong}")), "{error}");
+                let mut center = [0; 3];
+                center[axis] = wrong;
+                let error = read(center, [1; 3]).expect_err("must be refused").to_string();
+                assert!(error.contains(&format!("center is {wrong}")), "{error}");
             }
             for wrong in [0, 1 << 32, u64::MAX] {
                 let mut half = [1; 3];

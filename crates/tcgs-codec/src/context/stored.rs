@@ -14,7 +14,7 @@ use crate::domain::{Mlp, Planes};
 #[must_use]
 pub fn stored_network(mlp: &Mlp, weight_bits: u8) -> Mlp {
     match WeightBits::new(weight_bits.clamp(2, 8)) {
-        Some(bits) => IntegerMlp::quantise(mlp, bits).as_floats(),
+        Some(bits) => IntegerMlp::quantize(mlp, bits).as_floats(),
         None => mlp.clone(),
     }
 }
@@ -23,5 +23,5 @@ pub fn stored_network(mlp: &Mlp, weight_bits: u8) -> Mlp {
 /// a row being the weights of one output.
 #[must_use]
 pub fn stored_planes(planes: &Planes) -> Planes {
-    IntegerPlanes::quantise(planes).as_floats()
+    IntegerPlanes::quantize(planes).as_floats()
 }

@@ -26,7 +26,7 @@ pub struct Texel {
     pub fy: u32,
 }
 
-/// The place of a coordinate on each of [`PLANE_AXES`], on planes of `plane_edge` texels: the first texel's centre is at
+/// The place of a coordinate on each of [`PLANE_AXES`], on planes of `plane_edge` texels: the first texel's center is at
 /// -2, the last one's at 2. Coordinates beyond count as those, and edges beyond 1 to 1024 as the nearest of these.
 #[must_use]
 pub fn texels(coordinate: [i32; 3], plane_edge: usize) -> [Texel; 3] {

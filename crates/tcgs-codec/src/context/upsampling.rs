@@ -4,7 +4,7 @@
 
 use rayon::prelude::*;
 
-use super::dense::{MAX_ACTIVATION, dot, padded, quantise_bias, quantise_row, shifted};
+use super::dense::{MAX_ACTIVATION, dot, padded, quantize_bias, quantize_row, shifted};
 use crate::domain::UpLayer;
 
 /// Weights of up-sampling layers have eight bits: they are few.
@@ -23,7 +23,7 @@ pub(super) struct IntegerUpLayer {
 }
 
 impl IntegerUpLayer {
-    pub(super) fn quantise(layer: &UpLayer) -> Self {
+    pub(super) fn quantize(layer: &UpLayer) -> Self {
         let outputs = layer.outputs;
         let mut weights = vec![0; layer.weights.len()];
         let mut shifts = Vec::with_capacity(outputs);
@@ -32,11 +32,11 @@ impl IntegerUpLayer {
                 .flat_map(|input| (0..9).map(move |tap| (input * outputs + output) * 9 + tap))
                 .collect();
             let row: Vec<f32> = places.iter().map(|place| layer.weights[*place]).collect();
-            let (shift, integers) = quantise_row(&row, MAX_WEIGHT);
+            let (shift, integers) = quantize_row(&row, MAX_WEIGHT);
             shifts.push(shift);
             places.iter().zip(integers).for_each(|(place, integer)| weights[*place] = integer);
         }
-        let bias = layer.bias.iter().copied().map(quantise_bias).collect();
+        let bias = layer.bias.iter().copied().map(quantize_bias).collect();
         Self { inputs: layer.inputs, shifts, weights, bias }
     }
 

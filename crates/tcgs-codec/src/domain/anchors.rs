@@ -1,7 +1,7 @@
 //! The trained scene on the host: anchors on an integer lattice, their attributes, and the three render networks.
 //!
 //! All coordinates and lengths are those of the scene's [`SceneFrame`]. All per-anchor arrays are anchor-major with the lengths that [`AnchorScene::check`] demands. Scalings are held
-//! linear (the exponential of the trained logarithm), as the codec quantises them (METHOD.md §4.2).
+//! linear (the exponential of the trained logarithm), as the codec quantizes them (METHOD.md §4.2).
 
 use serde::{Deserialize, Serialize};
 use thiserror::Error;

@@ -1,4 +1,4 @@
-//! Pinhole cameras in OpenCV axes (x right, y down, z forward), pixel centres at +0.5, principal point honoured.
+//! Pinhole cameras in OpenCV axes (x right, y down, z forward), pixel centers at +0.5, principal point honored.
 //!
 //! A [`Camera`] that exists is finite, has positive focal lengths and a non-empty image, and its pose is a
 //! rigid motion; the constructors hold that.
@@ -151,7 +151,7 @@ impl Pose {
         self.translation
     }
 
-    /// The camera centre in world coordinates.
+    /// The camera center in world coordinates.
     #[must_use]
     pub fn center(&self) -> DVec3 {
         -(self.rotation.transpose() * self.translation)
@@ -174,7 +174,7 @@ impl Pose {
     }
 }
 
-/// Pinhole intrinsics in pixels; the centre of the top-left pixel is at (0.5, 0.5).
+/// Pinhole intrinsics in pixels; the center of the top-left pixel is at (0.5, 0.5).
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Intrinsics {
     /// Horizontal focal length.
@@ -212,7 +212,7 @@ impl Intrinsics {
         Ok(self)
     }
 
-    /// The same view in a picture of other sides. Pixel centres lie at +0.5, so everything scales by plain factors.
+    /// The same view in a picture of other sides. Pixel centers lie at +0.5, so everything scales by plain factors.
     #[must_use]
     pub fn resized(self, width: u32, height: u32) -> Self {
         let x = f64::from(width) / f64::from(self.width);
@@ -220,7 +220,7 @@ impl Intrinsics {
         Self { fx: self.fx * x, fy: self.fy * y, cx: self.cx * x, cy: self.cy * y, width, height }
     }
 
-    /// Intrinsics of a centred camera with square pixels from its horizontal field of view in radians.
+    /// Intrinsics of a centered camera with square pixels from its horizontal field of view in radians.
     ///
     /// # Errors
     /// As [`Intrinsics::validated`]; a field of view outside (0, pi) gives a focal length that is refused.

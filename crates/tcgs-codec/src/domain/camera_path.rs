@@ -30,7 +30,7 @@ pub fn between(from: &Camera, to: &Camera, t: f64) -> Result<Camera, CameraError
     Camera::new(intrinsics, pose)
 }
 
-/// `frames` cameras along `keys`, the same number between each two neighbours: from the first to the last, or, if `closed`, on
+/// `frames` cameras along `keys`, the same number between each two neighbors: from the first to the last, or, if `closed`, on
 /// to just before the first again.
 ///
 /// # Errors

@@ -4,15 +4,15 @@
 //! Training hands it to the encoder. The codec converts it to the integers that a file stores and that alone decide what is decoded
 //! (`FORMAT.md`).
 //!
-//! Units: means and standard deviations in base quantisation steps of their attribute group; step adjustments and standard deviations
+//! Units: means and standard deviations in base quantization steps of their attribute group; step adjustments and standard deviations
 //! as base-2 logarithms.
 
 use serde::{Deserialize, Serialize};
 
 use super::Mlp;
 
-/// Anchors whose plane samples are inputs of a network with neighbours: the anchor itself and its three nearest.
-pub const NEIGHBOURS: usize = 4;
+/// Anchors whose plane samples are inputs of a network with neighbors: the anchor itself and its three nearest.
+pub const NEIGHBORS: usize = 4;
 
 /// Planes of a scene, in this order: (x, y), (y, z), (x, z); the first coordinate runs along a row.
 pub const PLANE_AXES: [[usize; 2]; 3] = [[0, 1], [1, 2], [0, 2]];
@@ -23,7 +23,7 @@ pub const POSITION_OCTAVES: usize = 5;
 /// Values of the position prior: for each axis the coordinate, then its triangle waves.
 pub const POSITION_INPUTS: usize = 3 * (1 + POSITION_OCTAVES);
 
-/// Largest base-2 logarithm of a quantisation step over its base step, either way.
+/// Largest base-2 logarithm of a quantization step over its base step, either way.
 pub const STEP_OCTAVES: f32 = 3.5;
 
 /// A kind of attribute of an anchor.
@@ -58,7 +58,7 @@ pub enum ContextKind {
     Position,
     /// Its samples of the three planes, then its position prior.
     TriPlane,
-    /// Those of its [`NEIGHBOURS`], itself first, then its position prior.
+    /// Those of its [`NEIGHBORS`], itself first, then its position prior.
     TriPlaneKnn,
 }
 
@@ -69,7 +69,7 @@ impl ContextKind {
         match self {
             ContextKind::Position => 0,
             ContextKind::TriPlane => 1,
-            ContextKind::TriPlaneKnn => NEIGHBOURS,
+            ContextKind::TriPlaneKnn => NEIGHBORS,
         }
     }
 
@@ -134,15 +134,15 @@ pub struct PlaneContext {
     /// Networks of [`ContextKind::TriPlane`].
     pub own: GroupNetworks,
     /// Networks of [`ContextKind::TriPlaneKnn`].
-    pub neighbours: GroupNetworks,
+    pub neighbors: GroupNetworks,
 }
 
-/// The mapping from cells to planes: a coordinate is (cell - centre) / half, then contracted, so that the box from
-/// centre - half to centre + half takes the middle half of a plane's edge.
+/// The mapping from cells to planes: a coordinate is (cell - center) / half, then contracted, so that the box from
+/// center - half to center + half takes the middle half of a plane's edge.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub struct ContextFrame {
     /// The cell at the middle.
-    pub centre: [i32; 3],
+    pub center: [i32; 3],
     /// Cells from the middle to where contraction begins, at least 1 on each axis.
     pub half: [u32; 3],
 }

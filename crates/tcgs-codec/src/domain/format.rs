@@ -1,4 +1,4 @@
-//! The formats of scene files, recognised by their first bytes.
+//! The formats of scene files, recognized by their first bytes.
 
 use super::{ModelKind, choice::named_choice};
 

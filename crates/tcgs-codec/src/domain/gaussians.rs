@@ -5,7 +5,7 @@
 
 use super::{AnchorScene, NearPlane, SceneFrame, anchors::SceneShapeError};
 
-/// Spherical-harmonic coefficients a colour channel, up to degree 3.
+/// Spherical-harmonic coefficients a color channel, up to degree 3.
 pub const SH_COEFFICIENTS: usize = 16;
 
 /// Plain Gaussians as 3D Gaussian splatting trains and stores them.

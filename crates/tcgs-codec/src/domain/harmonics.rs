@@ -1,6 +1,6 @@
-//! The real spherical harmonics of plain Gaussians' colours, with the signs of the 3D Gaussian splatting paper.
+//! The real spherical harmonics of plain Gaussians' colors, with the signs of the 3D Gaussian splatting paper.
 //!
-//! A colour is 0.5 plus the sum of coefficients times these functions of the unit vector from the camera to the mean.
+//! A color is 0.5 plus the sum of coefficients times these functions of the unit vector from the camera to the mean.
 
 use glam::DVec3;
 

@@ -9,9 +9,9 @@ use super::{Camera, ViewScore};
 pub struct HeldOut {
     /// Held-out views in all.
     pub of: usize,
-    /// The error, as a fraction of full range, that has the last colour of `ramp`; larger ones have it too.
+    /// The error, as a fraction of full range, that has the last color of `ramp`; larger ones have it too.
     pub ceiling: f64,
-    /// Colours of errors from none to `ceiling`, evenly spaced.
+    /// Colors of errors from none to `ceiling`, evenly spaced.
     pub ramp: Vec<[u8; 3]>,
     /// The views.
     pub views: Vec<HeldOutView>,
@@ -32,6 +32,6 @@ pub struct HeldOutView {
     pub photograph: String,
     /// The decoded scene from the same camera.
     pub render: String,
-    /// The error of each pixel by colour: root mean square over the channels.
+    /// The error of each pixel by color: root mean square over the channels.
     pub error: String,
 }

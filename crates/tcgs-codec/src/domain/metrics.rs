@@ -91,7 +91,7 @@ pub struct PhaseSeconds {
     pub decode: f64,
 }
 
-/// Base-2 logarithms of quantisation steps by attribute group.
+/// Base-2 logarithms of quantization steps by attribute group.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
 pub struct GroupQstepLog2 {
     /// Of anchor features.
@@ -110,7 +110,7 @@ pub struct ByteBudget {
     /// Bytes that it would have had without a target size.
     #[serde(alias = "free_bytes")]
     pub unconstrained_bytes: u64,
-    /// Base-2 logarithm of how much coarser quantisation steps became, averaged over the anchors.
+    /// Base-2 logarithm of how much coarser quantization steps became, averaged over the anchors.
     #[serde(alias = "coarser_octaves")]
     pub qstep_log2: GroupQstepLog2,
     /// Gaussians pruned to fit.
@@ -153,7 +153,7 @@ pub struct CodingStages {
     pub views: usize,
     /// Attributes and networks as trained, in floats.
     pub floats: f64,
-    /// Uniform noise as wide as each quantisation step in place of rounding, float networks.
+    /// Uniform noise as wide as each quantization step in place of rounding, float networks.
     pub noise: f64,
     /// Attributes as the file has them, float networks.
     pub rounded: f64,
@@ -161,7 +161,7 @@ pub struct CodingStages {
     pub decoded: f64,
 }
 
-/// How far the f32 renderer is from the f64 reference for the decoded scene, of colours from 0 to 1.
+/// How far the f32 renderer is from the f64 reference for the decoded scene, of colors from 0 to 1.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct RenderingError {
     /// Held-out views compared, evenly spread.

@@ -58,7 +58,7 @@ named_choice! {
 }
 
 named_choice! {
-    /// The colour behind the scene.
+    /// The color behind the scene.
     pub enum Background {
         /// (1, 1, 1).
         White = "white",
@@ -101,7 +101,7 @@ named_choice! {
     pub enum Component {
         /// The tri-plane context.
         TriPlane = "triplane",
-        /// The neighbours' context.
+        /// The neighbors' context.
         Knn = "knn",
         /// The planes' down and up sampling, a part of runs of 30 000 steps and more only, if not asked for.
         PlaneCompression = "plane-compression",
@@ -173,7 +173,7 @@ pub struct TrainOptions {
     pub preset: Preset,
     /// Steps; the preset's own number if absent.
     pub iterations: Option<u32>,
-    /// When the run ends; serialised only if it is not after all steps.
+    /// When the run ends; serialized only if it is not after all steps.
     #[serde(skip_serializing_if = "is_full")]
     pub until: Until,
     /// Seed of every random choice.
@@ -186,7 +186,7 @@ pub struct TrainOptions {
     pub voxel: Voxel,
     /// Parts of the method that are off.
     pub without: BTreeSet<Component>,
-    /// Parts that are on in runs that leave them out by default; serialised only if there are some.
+    /// Parts that are on in runs that leave them out by default; serialized only if there are some.
     #[serde(skip_serializing_if = "BTreeSet::is_empty")]
     pub with: BTreeSet<Component>,
     /// Weight of the rate term; the preset's own if absent.
@@ -195,7 +195,7 @@ pub struct TrainOptions {
     pub max_bytes: Option<u64>,
     /// Weights of the rate term, each for a branch of the run with its own file; empty for one run and one file.
     pub rd_curve: Vec<f64>,
-    /// Whether photographs are turned as their EXIF orientation says; serialised only if it is stated.
+    /// Whether photographs are turned as their EXIF orientation says; serialized only if it is stated.
     #[serde(skip_serializing_if = "is_auto")]
     pub exif_orientation: ExifOrientation,
 }
@@ -600,7 +600,7 @@ pub static TRAIN_OPTIONS: [TrainOption; 14] = [
         name: "max_bytes",
         kind: OptionKind::Bytes,
         default: None,
-        help: Some("Largest size of the file: coarser quantisation and pruning make it fit"),
+        help: Some("Largest size of the file: coarser quantization and pruning make it fit"),
         set: |options, text| text.parse().ok().map(|bytes| options.max_bytes = Some(bytes)),
     },
     TrainOption {
@@ -665,7 +665,7 @@ mod tests {
         let fault = set_option(&mut options, "preset", "fast").expect_err("no such preset");
         assert_eq!(fault.to_string(), "preset: 'fast' is not one of preview, standard, paper");
         assert!(set_option(&mut options, "seed", "-1").is_err());
-        assert!(TrainOption::named("colour").is_none());
+        assert!(TrainOption::named("color").is_none());
     }
 
     #[test]
@@ -768,7 +768,7 @@ mod tests {
     fn a_run_may_end_once_it_has_converged_and_says_so_only_then() {
         let mut options = TrainOptions::default();
         let usual = serde_json::to_value(&options).expect("JSON");
-        assert!(usual.get("until").is_none(), "it is not serialised unless set");
+        assert!(usual.get("until").is_none(), "it is not serialized unless set");
         set_option(&mut options, "until", "converged").expect("a choice");
         let json = serde_json::to_value(&options).expect("JSON");
         assert_eq!(json["until"], "converged");
@@ -790,7 +790,7 @@ mod tests {
         let options = asked(ModelKind::Tcgs, &[], "plane-compression").expect("possible");
         assert_eq!(serde_json::to_value(&options).expect("JSON")["with"], json!(["plane-compression"]));
         let usual = serde_json::to_value(TrainOptions::default()).expect("JSON");
-        assert!(usual.get("with").is_none(), "it is not serialised unless set");
+        assert!(usual.get("with").is_none(), "it is not serialized unless set");
         for (fault, option) in [
             (asked(ModelKind::Tcgs, &[], "masks"), "with"),
             (asked(ModelKind::Tcgs, &[], "hope"), "with"),

@@ -1,6 +1,6 @@
 //! The frame of a scene: where its coordinates are in the world of its cameras.
 //!
-//! A scene is trained, stored and rendered in coordinates of its own: around its own centre, and in a unit that makes the distance
+//! A scene is trained, stored and rendered in coordinates of its own: around its own center, and in a unit that makes the distance
 //! of cameras from what they show about [`TYPICAL_DISTANCE`]. So neither the unit nor the place of a dataset changes a scene, and single
 //! precision has the same accuracy everywhere. Cameras have world coordinates everywhere outside of training, and are converted in
 //! double precision before a scene is rendered.

@@ -68,7 +68,7 @@ mod tests {
         let text = serde_json::to_string(&unit).expect("text");
         assert_eq!(serde_json::from_str::<SceneScale>(&text).expect("a length"), unit);
         // One over 3e38 is not normal: a device may take it for zero.
-        for text in ["0", "-0.0", "-1", "1e-45", "3e38", "1e39", "null", "\"metre\""] {
+        for text in ["0", "-0.0", "-1", "1e-45", "3e38", "1e39", "null", "\"meter\""] {
             assert!(serde_json::from_str::<SceneScale>(text).is_err(), "{text}");
         }
     }

@@ -3,7 +3,7 @@
 use tcgs_codec::{
     ContextChoice, ContextSearch, ContextSettings, DecodeError, DecodeLimits, EncodeError, EncodeSettings,
     Encoded, GroupChoice, GroupCosts, RegressionSearch,
-    context::neighbours,
+    context::neighbors,
     decode,
     domain::{ContextCandidates, ContextKind, DenseLayer, Mlp, PlaneContext, Planes},
     efficiency, encode, inspect,
@@ -71,7 +71,7 @@ fn the_networks_that_the_attributes_come_from_are_found_and_pay() {
         assert_eq!(chosen, all.into_iter().min().flatten());
     }
     let text = inspect(&encoded.bytes).expect("inspects").to_string();
-    for (column, kind) in [("features", "and neighbours"), ("scalings", "tri-plane"), ("offsets", "position")]
+    for (column, kind) in [("features", "and neighbors"), ("scalings", "tri-plane"), ("offsets", "position")]
     {
         let line = text.lines().find(|line| line.starts_with(column) && line.contains(kind));
         assert!(line.is_some(), "{text}");
@@ -167,7 +167,7 @@ fn two_thousand_anchors_do_not_carry_a_plane_of_fifty_channels() {
     let planes = Planes { edge, channels, latents, layers: Vec::new() };
     let set = PlaneContext {
         own: widths.map(|width| network(ContextKind::TriPlane.inputs(channels), width)),
-        neighbours: [None, None, None],
+        neighbors: [None, None, None],
         planes,
     };
     let candidates = ContextCandidates {
@@ -279,14 +279,14 @@ fn the_memory_limit_covers_the_inputs_of_every_anchor() {
         let layer = DenseLayer { inputs, outputs: 3, weights: vec![0.01; 3 * inputs], bias: vec![0.5; 3] };
         let network = [Some(Mlp { layers: vec![layer] }), None, None];
         let none = [None, None, None];
-        let (own, neighbours) =
+        let (own, neighbors) =
             if kind == ContextKind::TriPlane { (network, none.clone()) } else { (none.clone(), network) };
         let planes = Planes { edge: 1, channels, latents: vec![0.5; 3 * channels], layers: Vec::new() };
         let candidates = ContextCandidates {
             frame: UNIT_FRAME,
             static_steps: [0.0; 3],
             position: none,
-            planes: vec![PlaneContext { planes, own, neighbours }],
+            planes: vec![PlaneContext { planes, own, neighbors }],
         };
         let settings = fixed([Some(kind), None, None], Some(0));
         let bytes = encode(&scene, Some(&candidates), &settings).expect("encodes").bytes;
@@ -298,7 +298,7 @@ fn the_memory_limit_covers_the_inputs_of_every_anchor() {
         // Three coordinates, and a sample of all three planes.
         let mut inputs = 12 + 2 * 3 * channels as u64;
         if kind == ContextKind::TriPlaneKnn {
-            // Four neighbours by rank and by index, and the cells in their order.
+            // Four neighbors by rank and by index, and the cells in their order.
             inputs += 2 * 16 + 12;
         }
         assert!((50 * inputs..=50 * (inputs + 40)).contains(&value), "{value} bytes, {inputs} an anchor");
@@ -373,7 +373,7 @@ fn integers_cost_less_than_one_percent_more_than_floats() {
     let bases = [settings.feature_step, settings.scaling_step * scene.lattice.voxel, settings.offset_step];
     let counts = &encoded.byte_counts;
     let coded = [counts.features, counts.scalings, counts.offsets];
-    assert_eq!(neighbours(&decoded.cells).len(), decoded.len());
+    assert_eq!(neighbors(&decoded.cells).len(), decoded.len());
     let measured = efficiency(&encoded.bytes, &DecodeLimits::NONE, Some((&candidates, &encoded.context)));
     let measured = measured.expect("decodes");
     for (group, kind) in KINDS.into_iter().enumerate() {

@@ -4,7 +4,7 @@
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 use tcgs_codec::{
-    context::{Texel, coordinates, neighbours, position_inputs, robust_frame, texels},
+    context::{Texel, coordinates, neighbors, position_inputs, robust_frame, texels},
     domain::{
         AnchorScene, AttributeGroup, ContextCandidates, ContextFrame, ContextKind, DenseLayer, Mlp,
         PlaneContext, Planes, UpLayer,
@@ -13,7 +13,7 @@ use tcgs_codec::{
 
 use super::synthetic::{Normal, Recipe, scene, settings};
 
-/// A scene and what predicts it: features from the anchor and its neighbours, scalings from the anchor, offsets from the
+/// A scene and what predicts it: features from the anchor and its neighbors, scalings from the anchor, offsets from the
 /// position.
 pub(super) struct Dependent {
     pub(super) scene: AnchorScene,
@@ -42,7 +42,7 @@ pub(super) fn dependent(recipe: Recipe) -> Dependent {
         |kind: ContextKind| widths.map(|width| Some(network(&mut random, kind.inputs(channels), width)));
     let set = PlaneContext {
         own: networks(ContextKind::TriPlane),
-        neighbours: networks(ContextKind::TriPlaneKnn),
+        neighbors: networks(ContextKind::TriPlaneKnn),
         planes,
     };
     let position = widths.map(|width| Some(network(&mut random, ContextKind::Position.inputs(0), width)));
@@ -117,7 +117,7 @@ pub(super) fn predictions(
     let mlp = match kind {
         ContextKind::Position => &candidates.position,
         ContextKind::TriPlane => &set.own,
-        ContextKind::TriPlaneKnn => &set.neighbours,
+        ContextKind::TriPlaneKnn => &set.neighbors,
     }[group]
         .as_ref()
         .expect("every network is there");
@@ -127,7 +127,7 @@ pub(super) fn predictions(
         let places = texels(coordinates[anchor], set.planes.plane_edge());
         places.iter().enumerate().flat_map(|(plane, texel)| grown.sample(plane, texel)).collect()
     };
-    let near = neighbours(cells);
+    let near = neighbors(cells);
     (0..cells.len())
         .map(|anchor| {
             let mut input: Vec<f64> =
@@ -209,4 +209,4 @@ fn grow(planes: &Planes) -> Grown {
 }
 
 /// The frame of a scene without extent, for candidates that use none.
-pub(super) const UNIT_FRAME: ContextFrame = ContextFrame { centre: [0; 3], half: [1; 3] };
+pub(super) const UNIT_FRAME: ContextFrame = ContextFrame { center: [0; 3], half: [1; 3] };

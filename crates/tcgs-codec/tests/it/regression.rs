@@ -73,7 +73,7 @@ fn a_file_says_what_its_regressions_are_and_save() {
     assert_eq!(scalings, inspection.byte_counts.scalings + section.length - 1, "tables have no network");
     assert!(scalings < inspection.manifest.contexts[1].bytes.tables.expect("was tried"));
     let choices: Vec<&str> = inspection.choices.iter().map(|choice| &choice.value[..]).collect();
-    let tables = "tables: position no, planes no, neighbours no, regression";
+    let tables = "tables: position no, planes no, neighbors no, regression";
     assert_eq!(
         choices[choices.len() - 3..],
         [format!("{tables} no"), format!("{tables} yes"), format!("{tables} no")]

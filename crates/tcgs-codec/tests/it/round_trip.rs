@@ -290,14 +290,14 @@ fn the_memory_limit_covers_every_array_of_an_anchor() {
         let Err(DecodeError::Limit { value, limit: 1, .. }) = error else { panic!("{error:?}") };
         // A symbol and a float a value, a byte a mask, three coordinates.
         let arrays = 50 * (8 * (feature_dim + 6 + 3 * offsets) + offsets + 12) as u64;
-        // Step indices, and a code, six neighbours and a family in two levels of the octree, whatever the widths are.
+        // Step indices, and a code, six neighbors and a family in two levels of the octree, whatever the widths are.
         let least = arrays + 50 * (3 + 2 * (8 + 6 * 4 + 1));
         assert!((least..=arrays + 50 * 100).contains(&value), "{value} bytes for arrays of {arrays}");
     }
 }
 
 #[test]
-fn the_networks_give_nearly_the_same_colours() {
+fn the_networks_give_nearly_the_same_colors() {
     let scene = scene(Recipe { seed: 8, anchors: 300, feature_dim: 32, offsets: 10, masked: 0.0 });
     let encoded = encode(&scene, None, &settings()).expect("encodes");
     let forward = |mlp: &tcgs_codec::domain::Mlp, feature: &[f32]| -> Vec<f32> {
@@ -325,7 +325,7 @@ fn the_networks_give_nearly_the_same_colours() {
         }
     }
     let error = (square / count).sqrt();
-    assert!(error < 3.5e-3, "colours differ by {error} in the mean");
+    assert!(error < 3.5e-3, "colors differ by {error} in the mean");
 }
 
 prop_compose! {

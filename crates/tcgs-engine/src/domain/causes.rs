@@ -34,7 +34,7 @@ mod tests {
 
     #[cfg(target_os = "linux")]
     #[test]
-    fn the_systems_error_codes_are_recognised() {
+    fn the_systems_error_codes_are_recognized() {
         for errno in [rustix::io::Errno::NOSPC, rustix::io::Errno::DQUOT] {
             assert!(is_no_space(&io::Error::from(errno)), "{errno}");
         }

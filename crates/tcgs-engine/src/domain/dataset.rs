@@ -83,7 +83,7 @@ pub struct NamedCamera {
 pub struct PointCloud {
     /// World positions.
     pub positions: Vec<[f64; 3]>,
-    /// sRGB colours, as many as positions.
+    /// sRGB colors, as many as positions.
     pub colors: Vec<[u8; 3]>,
 }
 

@@ -8,19 +8,19 @@ use image::{ImageBuffer, Luma, RgbImage, imageops};
 use super::quality::comparable;
 use crate::domain::Image;
 
-/// The error, as a fraction of full range, that has the ramp's last colour; the same for every picture, so that they compare.
+/// The error, as a fraction of full range, that has the ramp's last color; the same for every picture, so that they compare.
 pub const ERROR_CEILING: f64 = 0.2;
 
-/// Number of colours in [`error_ramp`].
-const RAMP_COLOURS: usize = 17;
+/// Number of colors in [`error_ramp`].
+const RAMP_COLORS: usize = 17;
 
-/// The colours of errors from none to [`ERROR_CEILING`]: even steps look even, and lightness alone tells them apart.
+/// The colors of errors from none to [`ERROR_CEILING`]: even steps look even, and lightness alone tells them apart.
 #[must_use]
 pub fn error_ramp() -> Vec<[u8; 3]> {
-    (0..RAMP_COLOURS).map(|place| colour(place as f64 / (RAMP_COLOURS - 1) as f64)).collect()
+    (0..RAMP_COLORS).map(|place| color(place as f64 / (RAMP_COLORS - 1) as f64)).collect()
 }
 
-/// The error of each pixel by colour, root mean square over the channels, at most `side` pixels a side; `None` if the
+/// The error of each pixel by color, root mean square over the channels, at most `side` pixels a side; `None` if the
 /// images are not of one shape.
 #[must_use]
 pub fn error_map(render: &Image, photograph: &Image, side: u32) -> Option<Image> {
@@ -36,7 +36,7 @@ pub fn error_map(render: &Image, photograph: &Image, side: u32) -> Option<Image>
     if (width, height) != plane.dimensions() {
         plane = imageops::resize(&plane, width, height, imageops::FilterType::Triangle);
     }
-    let samples = plane.iter().flat_map(|error| colour(f64::from(*error) / ERROR_CEILING)).collect();
+    let samples = plane.iter().flat_map(|error| color(f64::from(*error) / ERROR_CEILING)).collect();
     Image::new(width, height, 3, samples).ok()
 }
 
@@ -66,9 +66,9 @@ fn shrunk_size(image: &Image, side: u32) -> (u32, u32) {
     (scaled(width), scaled(height))
 }
 
-fn colour(share: f64) -> [u8; 3] {
-    let colour = INFERNO.eval_continuous(share.clamp(0.0, 1.0));
-    [colour.r, colour.g, colour.b]
+fn color(share: f64) -> [u8; 3] {
+    let color = INFERNO.eval_continuous(share.clamp(0.0, 1.0));
+    [color.r, color.g, color.b]
 }
 
 #[cfg(test)]
@@ -80,14 +80,14 @@ mod tests {
     }
 
     #[test]
-    fn an_error_has_the_colour_of_its_place_on_the_ramp() {
+    fn an_error_has_the_color_of_its_place_on_the_ramp() {
         let ramp = error_ramp();
         let at = |error: u8| error_map(&flat(3, 2, 100 + error), &flat(3, 2, 100), 64).expect("comparable");
         assert_eq!(at(0).samples()[..3], ramp[0]);
         for beyond in [51, 52, 155] {
-            assert_eq!(at(beyond).samples()[..3], ramp[RAMP_COLOURS - 1], "{beyond}");
+            assert_eq!(at(beyond).samples()[..3], ramp[RAMP_COLORS - 1], "{beyond}");
         }
-        let lightness = |colour: &[u8]| colour.iter().map(|v| u32::from(*v)).sum::<u32>();
+        let lightness = |color: &[u8]| color.iter().map(|v| u32::from(*v)).sum::<u32>();
         assert!(ramp.windows(2).all(|pair| lightness(&pair[0]) < lightness(&pair[1])));
         assert!(lightness(&at(20).samples()[..3]) < lightness(&at(30).samples()[..3]));
     }

@@ -15,7 +15,7 @@ use crate::{
     },
 };
 
-/// The colours of a view, 0 to 1 without rounding and without bounds, row by row.
+/// The colors of a view, 0 to 1 without rounding and without bounds, row by row.
 ///
 /// Everything from the scene's f32 parameters on is f64: networks, spherical harmonics, projection, order and blending.
 ///
@@ -71,17 +71,17 @@ fn plain_row(rows: &GaussianRows, index: usize) -> PlainRow {
     row
 }
 
-/// How far colours are from their reference.
+/// How far colors are from their reference.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct ColorError {
-    /// Root of the mean squared difference, of colours from 0 to 1.
+    /// Root of the mean squared difference, of colors from 0 to 1.
     pub rmse: f64,
     /// The largest difference.
     pub max: f64,
 }
 
 impl ColorError {
-    /// The differences of the f32 colours of a view, transmittance behind them, from the reference; `None` if they are not of one size.
+    /// The differences of the f32 colors of a view, transmittance behind them, from the reference; `None` if they are not of one size.
     #[must_use]
     pub fn of(pixels: &[[f32; 4]], reference: &[[f64; 3]]) -> Option<Self> {
         if pixels.len() != reference.len() || pixels.is_empty() {

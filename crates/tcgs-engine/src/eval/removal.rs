@@ -1,6 +1,6 @@
 //! The importance of each Gaussian and anchor: the increase of the views' squared error without it.
 //!
-//! A pixel's colour C is linear in the opacity o of each of its Gaussians, so leaving one out changes it by exactly
+//! A pixel's color C is linear in the opacity o of each of its Gaussians, so leaving one out changes it by exactly
 //! -o dC/do, and the sum of squares by that change's square and its product with twice the error that is there already. One
 //! backward pass with that error as the image's gradient sums the products. One with random signs as the gradient gives a
 //! number whose expected square is the sum of squares over all pixels (Hutchinson's estimator): no per-pixel list is ever

@@ -147,7 +147,7 @@ impl Distortion {
     }
 }
 
-/// Where in the photograph (pixel coordinates) the centre of an undistorted pixel comes from.
+/// Where in the photograph (pixel coordinates) the center of an undistorted pixel comes from.
 fn source(distortion: &Distortion, k: &Intrinsics, column: u32, row: u32) -> [f64; 2] {
     let [x, y] = distortion.distort(plane_point(k, column, row));
     [k.fx * x + k.cx, k.fy * y + k.cy]

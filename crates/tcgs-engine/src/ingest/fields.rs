@@ -1,4 +1,4 @@
-//! The fields of a transforms file, deserialised as they are read.
+//! The fields of a transforms file, deserialized as they are read.
 //!
 //! Unknown fields are skipped without being stored, and known ones are bounded: frames and names by [`super::Limits`], a matrix by its
 //! shape.

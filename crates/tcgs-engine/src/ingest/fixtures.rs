@@ -76,7 +76,7 @@ pub(super) fn file(bytes: &[u8]) -> Written {
     Written { path, _folder: folder }
 }
 
-/// A PNG of one colour with alpha.
+/// A PNG of one color with alpha.
 pub(super) fn png((width, height): (u32, u32), color: [u8; 4]) -> Vec<u8> {
     let mut bytes = Cursor::new(Vec::new());
     DynamicImage::from(ImageBuffer::from_pixel(width, height, Rgba(color)))

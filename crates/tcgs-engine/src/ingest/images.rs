@@ -19,7 +19,7 @@ use crate::domain::{Image, camera::MAX_IMAGE_SIDE, dataset::IMAGE_EXTENSIONS};
 /// How much of a file is tried first for its header; a photograph's preview and profiles rarely need more.
 const FIRST_BYTES: u64 = 64 << 10;
 
-/// Bytes that a decoder may allocate besides pixels, for colour profiles and the like.
+/// Bytes that a decoder may allocate besides pixels, for color profiles and the like.
 const DECODER_BYTES: u64 = 4 << 20;
 
 /// Bytes a pixel of the widest pixel format that is decoded (16-bit RGBA).
@@ -199,7 +199,7 @@ fn unreadable(error: image::ImageError) -> IngestErrorKind {
 }
 
 /// Whether an end-of-image marker follows the first scan. The decoder fills what is missing from a shortened
-/// JPEG with grey and does not say so; training on such pixels would be worse than refusing them.
+/// JPEG with gray and does not say so; training on such pixels would be worse than refusing them.
 fn jpeg_is_complete(bytes: &[u8]) -> bool {
     const START_OF_SCAN: u8 = 0xda;
     let mut at = 2;
@@ -273,16 +273,16 @@ mod tests {
     }
 
     #[test]
-    fn every_pixel_format_becomes_8_bit_colour() {
+    fn every_pixel_format_becomes_8_bit_color() {
         let limits = Limits::default();
         let deep = ImageBuffer::from_pixel(2, 1, Rgb([0x8000_u16, 0xffff, 0]));
-        let grey = ImageBuffer::from_pixel(2, 1, Luma([77_u8]));
+        let gray = ImageBuffer::from_pixel(2, 1, Luma([77_u8]));
         let clear = ImageBuffer::from_pixel(2, 1, Rgba([1_u8, 2, 3, 4]));
         let opaque = ImageBuffer::from_pixel(2, 1, Rgba([1_u8, 2, 3, 255]));
         for (bytes, channels, samples) in [
             (encoded(deep, ImageFormat::Png), 3, [128_u8, 255, 0].repeat(2)),
-            (encoded(grey.clone(), ImageFormat::Png), 3, vec![77; 6]),
-            (encoded(grey, ImageFormat::WebP), 3, vec![77; 6]),
+            (encoded(gray.clone(), ImageFormat::Png), 3, vec![77; 6]),
+            (encoded(gray, ImageFormat::WebP), 3, vec![77; 6]),
             (encoded(clear, ImageFormat::Png), 4, [1, 2, 3, 4].repeat(2)),
             (encoded(opaque, ImageFormat::Png), 3, [1, 2, 3].repeat(2)),
         ] {

@@ -33,7 +33,7 @@ pub(super) enum Focal {
 pub(super) struct Lens {
     /// Focal length.
     pub(super) focal: Focal,
-    /// Principal point in pixels of the stated size; the centre if not stated.
+    /// Principal point in pixels of the stated size; the center if not stated.
     pub(super) principal: [Option<f64>; 2],
     /// Image size; that of the stored image if not stated.
     pub(super) size: Option<(u32, u32)>,

@@ -13,8 +13,8 @@ use super::{
 };
 use crate::ply::{Encoding, Header, Profile, Scalar};
 
-/// Colour of points in a file without colours.
-const GREY: u8 = 128;
+/// Color of points in a file without colors.
+const GRAY: u8 = 128;
 
 /// Names of red, green and blue in the order of preference, in any case of letters.
 const COLOR_NAMES: [[&str; 3]; 6] = [
@@ -81,7 +81,7 @@ pub(super) fn points(reader: &mut dyn BufRead, length: u64, cloud: &mut Points) 
     let count = header.vertices as usize;
     cloud.reserve(count)?;
 
-    // Colours of the kept points whose scale is known only at the end.
+    // Colors of the kept points whose scale is known only at the end.
     let scalar = colors.map(|[red, ..]| header.properties[red].scalar);
     let has_harmonics =
         colors.is_some_and(|[red, ..]| header.properties[red].name.eq_ignore_ascii_case(HARMONICS[0]));
@@ -95,12 +95,12 @@ pub(super) fn points(reader: &mut dyn BufRead, length: u64, cloud: &mut Points) 
         let color = colors.map(|columns| columns.map(|column| row[column] as f32));
         if has_harmonics {
             let color = color.map(|color| color.map(|value| to_8_bits(0.5 + Y_0 * value, 255.0)));
-            return cloud.push(position, color.unwrap_or([GREY; 3]));
+            return cloud.push(position, color.unwrap_or([GRAY; 3]));
         }
         if has_scale && cloud.keeps() {
             unscaled.extend(color);
         }
-        cloud.push(position, color.map_or([GREY; 3], |color| color.map(|value| to_8_bits(value, 1.0))))
+        cloud.push(position, color.map_or([GRAY; 3], |color| color.map(|value| to_8_bits(value, 1.0))))
     };
 
     let mut row = vec![0.0; header.properties.len()];
@@ -256,7 +256,7 @@ mod tests {
     }
 
     #[test]
-    fn other_types_orders_and_missing_colours_are_understood() {
+    fn other_types_orders_and_missing_colors_are_understood() {
         let properties = "property double z\nproperty double x\nproperty short skipped\nproperty double y\n";
         let mut data = Vec::new();
         for [x, y, z] in [[1.0_f64, 2.0, 3.0], [-4.0, 5.5, 0.25]] {
@@ -267,7 +267,7 @@ mod tests {
         }
         let cloud = points(&file("binary_little_endian", properties, &data)).expect("points");
         assert_eq!(cloud.positions, expected().positions);
-        assert_eq!(cloud.colors, [[GREY; 3]; 2]);
+        assert_eq!(cloud.colors, [[GRAY; 3]; 2]);
         let fractions = PLAIN.replace("uchar", "float");
         let cloud = points(&file("ascii", &fractions, b"0 0 0 1 0.5 0\n0 0 0 2 -1 0\n")).expect("points");
         assert_eq!(cloud.colors, [[255, 128, 0], [255, 0, 0]]);

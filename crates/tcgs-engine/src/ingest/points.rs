@@ -53,7 +53,7 @@ impl Points {
         self.cloud.is_some()
     }
 
-    /// Gives the last points these colours, in order.
+    /// Gives the last points these colors, in order.
     pub(super) fn recolor(&mut self, colors: impl ExactSizeIterator<Item = [u8; 3]>) {
         if let Some(cloud) = &mut self.cloud {
             let first = cloud.colors.len().saturating_sub(colors.len());

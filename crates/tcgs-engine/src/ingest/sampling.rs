@@ -1,14 +1,14 @@
-//! Resampling of 8-bit images: bilinear lookup and downscaling. Colours are weighted by alpha, so invisible pixels do not bleed into
+//! Resampling of 8-bit images: bilinear lookup and downscaling. Colors are weighted by alpha, so invisible pixels do not bleed into
 //! visible ones.
 
 use image::{ImageBuffer, Rgb, Rgba, imageops};
 
 use crate::domain::Image;
 
-/// Appends the colour at pixel coordinates (x, y), centres at +0.5, rim pixels repeated outwards.
+/// Appends the color at pixel coordinates (x, y), centers at +0.5, rim pixels repeated outwards.
 pub(super) fn bilinear(image: &Image, x: f64, y: f64, samples: &mut Vec<u8>) {
-    let (left, right, along_x) = neighbours(x, image.width());
-    let (top, bottom, along_y) = neighbours(y, image.height());
+    let (left, right, along_x) = neighbors(x, image.width());
+    let (top, bottom, along_y) = neighbors(y, image.height());
     let channels = usize::from(image.channels());
     let pixel = |column: usize, row: usize| {
         let at = (row * image.width() as usize + column) * channels;
@@ -70,7 +70,7 @@ pub(super) fn downscaled(image: Image, width: u32, height: u32) -> Image {
 }
 
 /// The two pixels around a coordinate and how far it is from the first to the second.
-fn neighbours(at: f64, side: u32) -> (usize, usize, f32) {
+fn neighbors(at: f64, side: u32) -> (usize, usize, f32) {
     let last = f64::from(side - 1);
     let at = (at - 0.5).clamp(0.0, last);
     let first = at.floor();
@@ -92,7 +92,7 @@ mod tests {
     }
 
     #[test]
-    fn centres_are_exact_and_between_them_is_linear() {
+    fn centers_are_exact_and_between_them_is_linear() {
         let image = Image::new(2, 2, 3, vec![0, 0, 0, 100, 0, 0, 0, 200, 0, 100, 200, 40]).expect("an image");
         assert_eq!(at(&image, 1.5, 0.5), [100, 0, 0]);
         assert_eq!(at(&image, 1.0, 0.5), [50, 0, 0]);
@@ -102,7 +102,7 @@ mod tests {
     }
 
     #[test]
-    fn invisible_pixels_lend_no_colour() {
+    fn invisible_pixels_lend_no_color() {
         let image = Image::new(2, 1, 4, vec![255, 0, 0, 0, 10, 20, 30, 255]).expect("an image");
         assert_eq!(at(&image, 1.0, 0.5), [10, 20, 30, 128]);
         assert_eq!(at(&image, 0.5, 0.5), [0, 0, 0, 0]);
@@ -114,7 +114,7 @@ mod tests {
     }
 
     #[test]
-    fn downscaling_keeps_flat_colours_and_the_mean_of_a_ramp() {
+    fn downscaling_keeps_flat_colors_and_the_mean_of_a_ramp() {
         let flat = downscaled(Image::new(9, 6, 3, [7, 99, 250].repeat(54)).expect("an image"), 3, 2);
         assert_eq!(flat.samples(), [7, 99, 250].repeat(6));
         let ramp: Vec<u8> = (0..64_u8).flat_map(|value| [value; 3]).collect();

@@ -148,7 +148,7 @@ fn a_single_image_is_trained_on() {
 }
 
 #[test]
-fn the_split_lists_of_a_transforms_file_are_honoured() {
+fn the_split_lists_of_a_transforms_file_are_honored() {
     let lists =
         |text: &str| nerfstudio().edited("transforms.json", "\"frames\"", &format!("{text}, \"frames\""));
     let both =

@@ -7,11 +7,11 @@ use thiserror::Error;
 
 use super::{
     VoxelRule, choose_lattice,
-    lattice::{coarse, neighbour_distances, voxelise},
+    lattice::{coarse, neighbor_distances, voxelise},
 };
 use crate::model::{AnchorRows, Shape, all_offsets};
 
-/// A point set that cannot initialise a scene.
+/// A point set that cannot initialize a scene.
 #[derive(Debug, Clone, PartialEq, Eq, Error)]
 pub enum InitError {
     /// No points.
@@ -33,7 +33,7 @@ pub fn random_points(rng: &mut impl Rng, count: usize, low: [f32; 3], high: [f32
 }
 
 /// Anchors from points: voxelised, offsets and features zero, all six log-scalings the logarithm of the distance to
-/// the anchor's neighbours (METHOD.md §2.1). A cloud that would make more than `max_anchors` anchors is thinned evenly.
+/// the anchor's neighbors (METHOD.md §2.1). A cloud that would make more than `max_anchors` anchors is thinned evenly.
 ///
 /// # Errors
 /// [`InitError`] for an empty or non-finite point set.
@@ -53,7 +53,7 @@ pub fn initial_rows(
     let cells = thin(voxelise(&lattice, points), max_anchors);
     let positions: Vec<[f32; 3]> = cells.iter().map(|cell| lattice.position(*cell)).collect();
     let mut values = vec![0.0; cells.len() * shape.row()];
-    for (row, distance) in values.chunks_exact_mut(shape.row()).zip(neighbour_distances(&positions)) {
+    for (row, distance) in values.chunks_exact_mut(shape.row()).zip(neighbor_distances(&positions)) {
         let log_scale = distance.max(lattice.voxel).ln();
         row[shape.scaling_column()..shape.offset_column()].fill(log_scale);
     }
@@ -91,7 +91,7 @@ mod tests {
             let (feature, rest) = row.split_at(4);
             let (scalings, offsets) = rest.split_at(6);
             assert!(feature.iter().chain(offsets).all(|v| *v == 0.0));
-            // The three nearest neighbours of any point of the grid are at distance one; cells may move it by a quarter.
+            // The three nearest neighbors of any point of the grid are at distance one; cells may move it by a quarter.
             assert!(scalings.iter().all(|log| *log == scalings[0] && log.abs() < 0.5), "{scalings:?}");
         }
         assert!(rows.masks.iter().all(|mask| *mask == 0b111));

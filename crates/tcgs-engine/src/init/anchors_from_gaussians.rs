@@ -25,7 +25,7 @@ const TRANSPARENT: f64 = -0.3;
 const VISIBLE: f32 = 0.05;
 /// Opacities that a Gaussian's is held to.
 const OPACITIES: [f32; 2] = [0.005, 0.95];
-/// Colour channels that a Gaussian's is held to: the logistic's reach.
+/// Color channels that a Gaussian's is held to: the logistic's reach.
 const COLORS: [f32; 2] = [0.01, 0.99];
 /// Largest distance of a size's logit from zero.
 const SIZE_LOGIT: f32 = 2.5;
@@ -72,7 +72,7 @@ impl Member {
 }
 
 /// The same Gaussian with its axes named and turned so that the quaternion's w is largest: of the 24 ways to say the same, the one
-/// in which neighbours are most alike.
+/// in which neighbors are most alike.
 fn nearest_to_the_axes(quat: Quat, log_scale: [f32; 3]) -> (Quat, [f32; 3]) {
     const ORDERS: [([usize; 3], f32); 6] = [
         ([0, 1, 2], 1.0),
@@ -271,7 +271,7 @@ mod tests {
 
     const SHAPE: Shape = Shape::new(16, 4);
 
-    /// Gaussians over a sphere whose colour, size and opacity change slowly along it.
+    /// Gaussians over a sphere whose color, size and opacity change slowly along it.
     fn sphere(count: usize) -> GaussianRows {
         let mut rows = GaussianRows::zero(count);
         for index in 0..count {

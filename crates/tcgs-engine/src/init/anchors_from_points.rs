@@ -1,7 +1,7 @@
-//! Anchors and render networks that begin in the colours of a point cloud.
+//! Anchors and render networks that begin in the colors of a point cloud.
 //!
-//! Every slot begins visible, with the colour of the anchor's points, so no slot is lost to the chance of a random network and none
-//! has to learn the colours first.
+//! Every slot begins visible, with the color of the anchor's points, so no slot is lost to the chance of a random network and none
+//! has to learn the colors first.
 
 use std::collections::BTreeMap;
 
@@ -18,12 +18,12 @@ use crate::model::{AnchorRows, Shape};
 const OPACITY: f64 = 0.1;
 /// Half the edge of the cube that offsets are drawn from, by the distance to the nearest anchors.
 const SPREAD: f32 = 0.5;
-/// Colour channels that a point's is held to: beyond, the logistic hardly has a gradient.
+/// Color channels that a point's is held to: beyond, the logistic hardly has a gradient.
 const COLORS: [f64; 2] = [0.05, 0.95];
 /// Of an anchor whose points say none.
-const GREY: f64 = 0.5;
-/// Weights of random hidden units to the outputs of the opacity, covariance and colour networks, by the usual: slots differ in
-/// shape and colour from the first step on, but none becomes transparent by chance.
+const GRAY: f64 = 0.5;
+/// Weights of random hidden units to the outputs of the opacity, covariance and color networks, by the usual: slots differ in
+/// shape and color from the first step on, but none becomes transparent by chance.
 const RANDOM: [f32; 3] = [0.1, 1.0, 1.0];
 
 /// Anchors at `points` as [`initial_rows`] has them, with offsets from `rng`, and features and networks that say the points'
@@ -62,7 +62,7 @@ pub fn anchors_from_points(
     Ok(FirstAnchors::saying(anchors, slots, PassingUnits::LINEAR, RANDOM, rng))
 }
 
-/// The mean colour of each anchor's points, from 0 to 1. Points that all have the same colour, as in a cloud saved without any, say
+/// The mean color of each anchor's points, from 0 to 1. Points that all have the same color, as in a cloud saved without any, say
 /// none.
 fn mean_colors(anchors: &AnchorRows, points: &[[f32; 3]], colors: &[[u8; 3]]) -> Vec<[f64; 3]> {
     let colors = if colors.windows(2).all(|pair| pair[0] == pair[1]) { &[] } else { colors };
@@ -75,7 +75,7 @@ fn mean_colors(anchors: &AnchorRows, points: &[[f32; 3]], colors: &[[u8; 3]]) ->
         }
         *count += 1.0;
     }
-    let mean = |cell: &[i32; 3]| sums.get(cell).map_or([GREY; 3], |(sum, count)| sum.map(|sum| sum / count));
+    let mean = |cell: &[i32; 3]| sums.get(cell).map_or([GRAY; 3], |(sum, count)| sum.map(|sum| sum / count));
     anchors.cells.iter().map(mean).collect()
 }
 
@@ -102,7 +102,7 @@ mod tests {
     }
 
     #[test]
-    fn every_slot_begins_visible_in_the_mean_colour_of_its_points() {
+    fn every_slot_begins_visible_in_the_mean_color_of_its_points() {
         let (points, colors) = points();
         for seed in 0..10 {
             let first = begin(&points, &colors, seed);
@@ -119,7 +119,7 @@ mod tests {
                 }
             }
             let mean = (squares / (1000 * 3 * SHAPE.offsets) as f64).sqrt();
-            assert!(mean < 0.1, "colours differ by {mean} in the mean");
+            assert!(mean < 0.1, "colors differ by {mean} in the mean");
         }
     }
 
@@ -139,14 +139,14 @@ mod tests {
     }
 
     #[test]
-    fn points_without_colours_or_of_one_colour_begin_grey() {
+    fn points_without_colors_or_of_one_color_begin_gray() {
         let (points, _) = points();
-        let grey = begin(&points, &[], 1);
-        assert!(grey.anchors.values.iter().chain(&grey.networks).all(|value| value.is_finite()));
+        let gray = begin(&points, &[], 1);
+        assert!(gray.anchors.values.iter().chain(&gray.networks).all(|value| value.is_finite()));
         for colors in [[255; 3], [0; 3]] {
-            assert_eq!(begin(&points, &vec![colors; points.len()], 1), grey);
+            assert_eq!(begin(&points, &vec![colors; points.len()], 1), gray);
         }
-        let said = outputs(&grey, 0);
+        let said = outputs(&gray, 0);
         assert!(said[..SHAPE.offsets].iter().all(|opacity| *opacity > 0.02), "{said:?}");
         assert!(said[8 * SHAPE.offsets..].iter().all(|color| color.abs() < 1.5), "{said:?}");
         let first = begin(&points[..1], &[[9, 200, 30]], 1);

@@ -1,6 +1,6 @@
 //! The anchors and networks that a training begins with.
 //!
-//! What the networks are to say of all slots of an anchor (opacities, sizes, rotations, colours) is reduced to its principal
+//! What the networks are to say of all slots of an anchor (opacities, sizes, rotations, colors) is reduced to its principal
 //! components over all anchors: features are the coordinates along them, and the networks begin as the map back.
 
 use rand::Rng;
@@ -9,7 +9,7 @@ use super::principal::principal_components;
 use crate::domain::anchors::VIEW_INPUTS;
 use crate::model::{AnchorRows, NetworkLayout};
 
-/// Values of a slot, before their activations: opacity, three sizes, quaternion (w, x, y, z), colour.
+/// Values of a slot, before their activations: opacity, three sizes, quaternion (w, x, y, z), color.
 pub(super) const SLOT: usize = 11;
 /// Weights of these values in the components.
 const WEIGHTS: [f64; SLOT] = [3.0, 0.5, 0.5, 0.5, 0.5, 0.5, 0.5, 0.5, 1.0, 1.0, 1.0];
@@ -46,7 +46,7 @@ pub struct FirstAnchors {
 
 impl FirstAnchors {
     /// `anchors` with features and networks that make about `slots` of them. `random` scales the weights from hidden units that pass
-    /// nothing on to the outputs of the opacity, covariance and colour networks.
+    /// nothing on to the outputs of the opacity, covariance and color networks.
     pub(super) fn saying(
         mut anchors: AnchorRows,
         slots: SlotValues,

@@ -2,7 +2,7 @@
 
 use rand::{Rng, RngExt};
 
-use super::{InitError, lattice::neighbour_distances};
+use super::{InitError, lattice::neighbor_distances};
 use crate::model::{
     GaussianRows,
     gaussian_rows::{COLOR, LOG_SCALE, OPACITY, QUAT, SH_CONSTANT},
@@ -10,13 +10,13 @@ use crate::model::{
 
 /// Initial opacity of a Gaussian (METHOD.md §5).
 const FIRST_OPACITY: f32 = 0.1;
-/// Smallest initial value of a colour channel: one clamped at zero has no gradient and would stay black.
+/// Smallest initial value of a color channel: one clamped at zero has no gradient and would stay black.
 const MIN_COLOR: f32 = 1.0 / 255.0;
-/// Smallest neighbour distance for an initial size: the root of the published 1e-7 (METHOD.md §5).
+/// Smallest neighbor distance for an initial size: the root of the published 1e-7 (METHOD.md §5).
 const MIN_SPACING: f32 = 3.162_277_7e-4;
 
-/// Gaussians from points: isotropic, of the size of the distance to their three nearest neighbours, of opacity 0.1, in
-/// the points' sRGB colours, or grey with a trace of noise where there are none, as published. Of more than `max_gaussians`
+/// Gaussians from points: isotropic, of the size of the distance to their three nearest neighbors, of opacity 0.1, in
+/// the points' sRGB colors, or gray with a trace of noise where there are none, as published. Of more than `max_gaussians`
 /// points every n-th is taken.
 ///
 /// # Errors
@@ -37,7 +37,7 @@ pub fn initial_gaussians(
     let positions: Vec<[f32; 3]> = points.iter().copied().step_by(every).collect();
     let colored = colors.len() == points.len();
     let mut rows = GaussianRows::zero(positions.len());
-    let distances = neighbour_distances(&positions);
+    let distances = neighbor_distances(&positions);
     for (index, (position, distance)) in positions.iter().zip(distances).enumerate() {
         let color: [f32; 3] = if colored {
             colors[index * every].map(|value| ((f32::from(value) / 255.0).max(MIN_COLOR) - 0.5) / SH_CONSTANT)
@@ -76,7 +76,7 @@ mod tests {
     }
 
     #[test]
-    fn gaussians_begin_as_balls_that_fill_the_spacing_in_the_colours_of_their_points() {
+    fn gaussians_begin_as_balls_that_fill_the_spacing_in_the_colors_of_their_points() {
         // Black is lifted by one: what is held at zero does not learn.
         let colors: Vec<[u8; 3]> = (0..1000).map(|i| [(i % 256) as u8, 0, 255]).collect();
         let rows = begin(&grid(), &colors, 1000).expect("rows");
@@ -84,7 +84,7 @@ mod tests {
         for (index, point) in grid().iter().enumerate() {
             let row = rows.base(index);
             assert_eq!(row[..3], *point);
-            // Three neighbours at distance one.
+            // Three neighbors at distance one.
             assert!(row[LOG_SCALE..QUAT].iter().all(|log| log.abs() < 1e-6), "{row:?}");
             assert_eq!(row[QUAT..OPACITY], [1.0, 0.0, 0.0, 0.0]);
             assert!((1.0 / (1.0 + (-row[OPACITY]).exp()) - 0.1).abs() < 1e-6);
@@ -97,7 +97,7 @@ mod tests {
     }
 
     #[test]
-    fn points_without_colours_begin_grey_and_too_many_points_are_thinned() {
+    fn points_without_colors_begin_gray_and_too_many_points_are_thinned() {
         let rows = begin(&grid(), &[], 300).expect("rows");
         assert_eq!(rows.len(), 250, "every fourth of a thousand");
         let reds: Vec<f32> = (0..250).map(|i| rows.base(i)[COLOR] * SH_CONSTANT + 0.5).collect();

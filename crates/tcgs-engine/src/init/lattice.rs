@@ -12,7 +12,7 @@ pub const MAX_CELL: i32 = (1 << 20) - 1;
 /// How the edge of a cell is chosen.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum VoxelRule {
-    /// This fraction of the median distance between neighbouring points: a length, whatever the unit of the scene.
+    /// This fraction of the median distance between neighboring points: a length, whatever the unit of the scene.
     OfSpacing(f32),
     /// The median of the mean squared distance to the three nearest points, taken for a length as the published code
     /// does (METHOD.md §2.1).
@@ -43,7 +43,7 @@ impl VoxelRule {
 
 /// Root of the mean squared distance to the three nearest other points, for each point (0 with fewer than 2 points).
 #[must_use]
-pub(super) fn neighbour_distances(points: &[[f32; 3]]) -> Vec<f32> {
+pub(super) fn neighbor_distances(points: &[[f32; 3]]) -> Vec<f32> {
     if points.len() < 2 {
         return vec![0.0; points.len()];
     }
@@ -55,25 +55,25 @@ pub(super) fn neighbour_distances(points: &[[f32; 3]]) -> Vec<f32> {
         .iter()
         .map(|point| {
             let near = tree.query(point).nearest_n::<SquaredEuclidean<f32>>(wanted).execute();
-            // The point itself is among them, at distance zero; one that is not finite has no neighbour at all.
-            let sum: f32 = near.iter().map(|neighbour| neighbour.distance).sum();
+            // The point itself is among them, at distance zero; one that is not finite has no neighbor at all.
+            let sum: f32 = near.iter().map(|neighbor| neighbor.distance).sum();
             (sum / near.len().saturating_sub(1).max(1) as f32).sqrt()
         })
         .collect()
 }
 
-/// Median of the positive neighbour distances, or 0 if there is none.
+/// Median of the positive neighbor distances, or 0 if there is none.
 #[must_use]
 pub fn median_spacing(points: &[[f32; 3]]) -> f32 {
     let mut distances: Vec<f32> =
-        neighbour_distances(points).into_iter().filter(|d| *d > 0.0 && d.is_finite()).collect();
+        neighbor_distances(points).into_iter().filter(|d| *d > 0.0 && d.is_finite()).collect();
     distances.sort_by(f32::total_cmp);
     distances.get(distances.len() / 2).copied().unwrap_or(0.0)
 }
 
 /// The n/2-th smallest of the mean squared distances to the three nearest other points.
 fn median_squared_distance(points: &[[f32; 3]]) -> f32 {
-    let mut squares: Vec<f32> = neighbour_distances(points).into_iter().map(|d| d * d).collect();
+    let mut squares: Vec<f32> = neighbor_distances(points).into_iter().map(|d| d * d).collect();
     squares.sort_by(f32::total_cmp);
     // The n-th smallest counts from one.
     squares.get((squares.len() / 2).saturating_sub(1)).copied().unwrap_or(0.0)
@@ -164,14 +164,14 @@ mod tests {
         let grid: Vec<[f32; 3]> =
             (0..1000).map(|i| [(i % 10) as f32, (i / 10 % 10) as f32, (i / 100) as f32]).collect();
         assert!((median_spacing(&grid) - 1.0).abs() < 1e-6);
-        let millimetres: Vec<[f32; 3]> = grid.iter().map(|p| p.map(|v| v * 1000.0)).collect();
-        assert!((median_spacing(&millimetres) - 1000.0).abs() < 1e-3);
+        let millimeters: Vec<[f32; 3]> = grid.iter().map(|p| p.map(|v| v * 1000.0)).collect();
+        assert!((median_spacing(&millimeters) - 1000.0).abs() < 1e-3);
     }
 
     #[test]
     fn the_published_rule_is_a_median_of_squared_distances() {
         let spaced = |step: f32| -> Vec<[f32; 3]> { (0..100).map(|i| [i as f32 * step, 0.0, 0.0]).collect() };
-        // Inner points of a line have neighbours at one, one and two steps.
+        // Inner points of a line have neighbors at one, one and two steps.
         for (step, edge) in [(1.0, 2.0), (0.1, 0.02), (10.0, 200.0)] {
             let VoxelRule::Fixed(found) = VoxelRule::Published.for_points(&spaced(step), 1.0) else {
                 panic!("the rule is not fixed")
@@ -205,7 +205,7 @@ mod tests {
     }
 
     #[test]
-    fn identical_points_have_no_spacing_but_their_neighbours_do() {
+    fn identical_points_have_no_spacing_but_their_neighbors_do() {
         let mut points = vec![[1.0, 1.0, 1.0]; 200];
         points.extend((0..400).map(|i| [i as f32, 0.0, 0.0]));
         let spacing = median_spacing(&points);

@@ -54,13 +54,13 @@ fn components_of(rows: &[f64], width: usize, count: usize) -> Components {
         }
     }
     let mut covariance = vec![0.0; width * width];
-    let mut centred = vec![0.0; width];
+    let mut centered = vec![0.0; width];
     for row in rows.chunks_exact(width) {
-        for ((to, value), mean) in centred.iter_mut().zip(row).zip(&mean) {
+        for ((to, value), mean) in centered.iter_mut().zip(row).zip(&mean) {
             *to = value - mean;
         }
-        for (i, a) in centred.iter().enumerate() {
-            for (sum, b) in covariance[i * width..][..=i].iter_mut().zip(&centred) {
+        for (i, a) in centered.iter().enumerate() {
+            for (sum, b) in covariance[i * width..][..=i].iter_mut().zip(&centered) {
                 *sum += a * b;
             }
         }

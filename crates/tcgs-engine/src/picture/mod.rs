@@ -82,7 +82,7 @@ impl PictureFormat {
 ///
 /// # Errors
 /// [`PictureError::Image`].
-pub fn grey_png(samples: &[u8], width: u32, height: u32) -> Result<Vec<u8>, PictureError> {
+pub fn gray_png(samples: &[u8], width: u32, height: u32) -> Result<Vec<u8>, PictureError> {
     png::encode(samples, width, height, ExtendedColorType::L8)
 }
 
@@ -90,7 +90,7 @@ pub fn grey_png(samples: &[u8], width: u32, height: u32) -> Result<Vec<u8>, Pict
 ///
 /// # Errors
 /// [`PictureError::Image`].
-pub fn deep_grey_png(samples: &[u16], width: u32, height: u32) -> Result<Vec<u8>, PictureError> {
+pub fn deep_gray_png(samples: &[u16], width: u32, height: u32) -> Result<Vec<u8>, PictureError> {
     png::encode(bytemuck::cast_slice(samples), width, height, ExtendedColorType::L16)
 }
 

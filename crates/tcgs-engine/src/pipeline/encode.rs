@@ -1,6 +1,6 @@
 //! Writes the file of a trained scene, and reads it back.
 //!
-//! The kind of file follows the model: `tcgs` is quantised and coded, the baselines are written as floats.
+//! The kind of file follows the model: `tcgs` is quantized and coded, the baselines are written as floats.
 
 use std::{sync::Arc, time::Instant};
 
@@ -25,7 +25,7 @@ use crate::{
     train::{BaseQuantSteps, Trained, TrainedContext},
 };
 
-/// Training views that decide how finely to quantise.
+/// Training views that decide how finely to quantize.
 const STEP_VIEWS: usize = 4;
 
 /// Training views that measure the quality of files of a target size.
@@ -75,7 +75,7 @@ pub(super) fn write_file(
     let decode_seconds = began.elapsed().as_secs_f64();
     let coding = match choice {
         Some(choice) => {
-            // The float networks predict for the quantisation steps of training.
+            // The float networks predict for the quantization steps of training.
             let as_trained = budget.is_none_or(|budget| budget.qstep_log2 == GroupQstepLog2::default());
             coding_efficiency(&bytes, context.filter(|_| as_trained), &choice)?
         }
@@ -120,7 +120,7 @@ struct Encoder<'a> {
 }
 
 impl Encoder<'_> {
-    /// Codes within the target size, if there is one, with the quantisation steps of training. Chooses the steps if the run ended
+    /// Codes within the target size, if there is one, with the quantization steps of training. Chooses the steps if the run ended
     /// before any were trained.
     fn encode(
         &self,

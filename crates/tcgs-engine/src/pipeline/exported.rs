@@ -320,7 +320,7 @@ mod tests {
     }
     #[test]
     fn a_ply_relative_to_an_offset_is_exported_in_its_place_however_small_it_is() {
-        // A millimetre large, ten units from the origin.
+        // A millimeter large, ten units from the origin.
         let frame = SceneFrame::around([10.0, 0.0, 0.0].into(), 1e-3).expect("a frame");
         let scene = GaussianScene {
             frame,

@@ -17,7 +17,7 @@ use crate::{
 /// Training views that the reported training figures are measured on, evenly spread.
 const MEASURED_TRAIN_VIEWS: usize = 16;
 
-/// Measures the file, and the held-out views of the scene before quantisation if the file differs from it. Calls `heartbeat`
+/// Measures the file, and the held-out views of the scene before quantization if the file differs from it. Calls `heartbeat`
 /// before each view.
 pub(super) fn measure(
     inputs: &RunInputs<'_>,

@@ -1,4 +1,4 @@
-//! Chooses quantisation steps by their cost in PSNR on training views: for each attribute the coarsest step of a ladder that costs
+//! Chooses quantization steps by their cost in PSNR on training views: for each attribute the coarsest step of a ladder that costs
 //! next to nothing, then all three together.
 
 use std::sync::Arc;
@@ -11,16 +11,16 @@ use crate::{
     train::BaseQuantSteps,
 };
 
-/// PSNR in dB that the quantisation of one attribute may cost on the views.
+/// PSNR in dB that the quantization of one attribute may cost on the views.
 const MAX_LOSS_OF_ONE: f64 = 0.02;
-/// PSNR in dB that the quantisation of all attributes may cost.
+/// PSNR in dB that the quantization of all attributes may cost.
 const MAX_LOSS_OF_ALL: f64 = 0.05;
 /// Coarsest steps: features, scalings in voxels, offsets. Each further level halves them.
 const COARSEST: [f32; 3] = [1.0, 1.0, 0.4];
 /// Levels of the ladder below the coarsest.
 const LEVELS: u32 = 9;
 
-/// Largest magnitude of a quantised integer: half of what a file can hold (FORMAT.md), so that rounding cannot exceed that.
+/// Largest magnitude of a quantized integer: half of what a file can hold (FORMAT.md), so that rounding cannot exceed that.
 const MAX_INTEGER: f32 = (1_u32 << 23) as f32;
 
 /// The coarsest steps that cost `views` less than the bounds above. Calls `keep_going` between measurements; returns the finest steps
@@ -52,7 +52,7 @@ pub(super) fn choose_quant_steps(
             }
             let mut only = [None; 3];
             only[attribute] = Some(level);
-            if psnr(&quantised(scene, &ladder, only))? >= best - MAX_LOSS_OF_ONE {
+            if psnr(&quantized(scene, &ladder, only))? >= best - MAX_LOSS_OF_ONE {
                 good = level;
             } else {
                 bad = Some(level);
@@ -61,7 +61,7 @@ pub(super) fn choose_quant_steps(
         levels[attribute] = good;
     }
     while levels.iter().any(|level| *level < LEVELS) && keep_going() {
-        if psnr(&quantised(scene, &ladder, levels.map(Some)))? >= best - MAX_LOSS_OF_ALL {
+        if psnr(&quantized(scene, &ladder, levels.map(Some)))? >= best - MAX_LOSS_OF_ALL {
             break;
         }
         levels = levels.map(|level| (level + 1).min(LEVELS));
@@ -101,7 +101,7 @@ impl StepLadder {
 }
 
 /// The scene with those attributes that have a level rounded to its step, as the codec will round them.
-fn quantised(scene: &AnchorScene, ladder: &StepLadder, levels: [Option<u32>; 3]) -> AnchorScene {
+fn quantized(scene: &AnchorScene, ladder: &StepLadder, levels: [Option<u32>; 3]) -> AnchorScene {
     let mut rounded = scene.clone();
     let steps = ladder.steps(levels.map(|level| level.unwrap_or(0)));
     let round = |values: &mut [f32], step: f32, min: f32| {

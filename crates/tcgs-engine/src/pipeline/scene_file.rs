@@ -28,7 +28,7 @@ pub struct SceneFile {
     pub byte_counts: ByteCounts,
 }
 
-/// Reads a file; its format is recognised by its content.
+/// Reads a file; its format is recognized by its content.
 ///
 /// # Errors
 /// A problem of status 422 that says what is wrong with the file.
@@ -150,7 +150,7 @@ mod tests {
 
     #[test]
     fn a_scene_relative_to_an_offset_comes_back_in_its_place_however_small_it_is() {
-        // A millimetre large, ten units from the origin.
+        // A millimeter large, ten units from the origin.
         let frame = SceneFrame::around([10.0, 0.0, 0.0].into(), 1e-3).expect("a frame");
         let scene = GaussianScene {
             frame,

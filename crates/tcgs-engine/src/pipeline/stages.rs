@@ -1,4 +1,4 @@
-//! What each stage between training and the decoded file costs: rounding, noise in its place, quantised networks, and rendering in f32.
+//! What each stage between training and the decoded file costs: rounding, noise in its place, quantized networks, and rendering in f32.
 //!
 //! Every figure is of the same few held-out views, so that stages differ by nothing else.
 

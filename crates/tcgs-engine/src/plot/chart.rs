@@ -18,7 +18,7 @@ const MOST_POINTS: usize = 400;
 /// Number of styles of series; further ones use them again.
 pub const SERIES_STYLES: usize = 8;
 
-/// Colours of a picture that stands alone: a page, its text, its rules and the series, in light and dark.
+/// Colors of a picture that stands alone: a page, its text, its rules and the series, in light and dark.
 const STANDALONE_STYLE: &str = "\
 svg { --page: #fff; --ink: #1f2328; --soft: #59636e; --rule: #d1d9e0; --s0: #1d5fd1; --s1: #c2410c; --s2: #18794e; --s3: #8250df; --s4: #a8820a; --s5: #bf3989; --s6: #0a7ea4; --s7: #6e7781; }\n\
 @media (prefers-color-scheme: dark) { svg { --page: #0d1117; --ink: #f0f6fc; --soft: #9198a1; --rule: #3d444d; --s0: #7fb0ff; --s1: #ff9d5c; --s2: #5fd09a; --s3: #c297ff; --s4: #e3b341; --s5: #f778ba; --s6: #56c8e8; --s7: #9198a1; } }\n\
@@ -80,7 +80,7 @@ impl Chart {
         }
     }
 
-    /// The chart as an SVG file with its own colours, title and legend; `None` if there is nothing to draw.
+    /// The chart as an SVG file with its own colors, title and legend; `None` if there is nothing to draw.
     #[must_use]
     pub fn standalone(&self) -> Option<String> {
         if self.is_empty() {

@@ -1,6 +1,6 @@
 //! Charts as SVG, for the report of a job and the report of a benchmark.
 //!
-//! They need no script, take the colours of the page around them, and can be printed; [`Chart::standalone`] brings its own colours,
+//! They need no script, take the colors of the page around them, and can be printed; [`Chart::standalone`] brings its own colors,
 //! for light and dark.
 
 mod axis;

@@ -1,4 +1,4 @@
-//! A point cloud as structure from motion would find it: surface points that several cameras see, slightly displaced, with the colours
+//! A point cloud as structure from motion would find it: surface points that several cameras see, slightly displaced, with the colors
 //! seen there.
 
 use glam::DVec3;
@@ -68,7 +68,7 @@ mod tests {
     use crate::sample::views;
 
     #[test]
-    fn the_cloud_is_seeded_and_its_colours_are_what_the_cameras_see() {
+    fn the_cloud_is_seeded_and_its_colors_are_what_the_cameras_see() {
         let scene = Scene::still_life();
         let cameras = views::cameras(96);
         let cloud = cloud_of(&scene, &cameras, 7);
@@ -93,7 +93,7 @@ mod tests {
         assert!(differences.len() > 300, "only {} samples are in view", differences.len());
         differences.sort_unstable();
         let median = differences[differences.len() / 2];
-        assert!(median < 12, "half of the cloud's colours are {median} or more away from the image's");
+        assert!(median < 12, "half of the cloud's colors are {median} or more away from the image's");
     }
 
     fn cloud_of(scene: &Scene, cameras: &[Camera], seed: u64) -> PointCloud {

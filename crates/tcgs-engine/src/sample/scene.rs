@@ -1,6 +1,6 @@
 //! The still life, its light, and the radiance along a ray.
 //!
-//! Colours are linear light until [`Scene::render`] writes sRGB. Shadows and ambient light depend only on the
+//! Colors are linear light until [`Scene::render`] writes sRGB. Shadows and ambient light depend only on the
 //! surface point, so views agree with each other; only the highlights move with the eye.
 
 use glam::{DVec2, DVec3};
@@ -145,7 +145,7 @@ impl Scene {
         light
     }
 
-    /// Colour of a solid's surface point as sRGB, without the highlight, as in a point cloud.
+    /// Color of a solid's surface point as sRGB, without the highlight, as in a point cloud.
     pub(super) fn matt_color(&self, solid: &Solid, point: DVec3) -> [u8; 3] {
         let normal = solid.shape.normal(point);
         let albedo = solid.texture.albedo(solid.shape.local(point), normal);
@@ -271,7 +271,7 @@ fn bound_of(solids: &[Solid]) -> (DVec3, f64) {
     (center, radius)
 }
 
-/// The ray from the camera's centre through a point of its image plane, in pixels.
+/// The ray from the camera's center through a point of its image plane, in pixels.
 fn ray_through(camera: &Camera, at: DVec2) -> Ray {
     let k = &camera.intrinsics;
     let local = DVec3::new((at.x - k.cx) / k.fx, (at.y - k.cy) / k.fy, 1.0);
@@ -301,7 +301,7 @@ mod tests {
     }
 
     #[test]
-    fn a_known_point_has_its_colour_where_the_camera_projects_it() {
+    fn a_known_point_has_its_color_where_the_camera_projects_it() {
         let scene = Scene::still_life();
         // The middle of a patch on the top of the block, seen from three sides.
         let block =

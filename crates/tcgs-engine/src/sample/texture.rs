@@ -1,4 +1,4 @@
-//! Procedural colours of the solids, as linear-light albedo in [0, 1].
+//! Procedural colors of the solids, as linear-light albedo in [0, 1].
 
 use glam::DVec3;
 use libm::{atan2, floor, sin};
@@ -18,7 +18,7 @@ pub(super) enum Texture {
     Bands,
     /// A stripe that climbs around a column.
     Helix,
-    /// One colour with a little grain.
+    /// One color with a little grain.
     Plain(DVec3),
 }
 
@@ -85,7 +85,7 @@ fn patchwork(p: DVec3, normal: DVec3) -> DVec3 {
         DVec3::new(0.20, 0.38, 0.12),
     ];
     const PATCH: f64 = 0.14;
-    // The block's faces are halfway between borders of this lattice, so rounding cannot split a face's colours.
+    // The block's faces are halfway between borders of this lattice, so rounding cannot split a face's colors.
     let cell = (p / PATCH).floor();
     let (x, y, z) = (cell.x as i64, cell.y as i64, cell.z as i64);
     let side = if normal.z.abs() > 0.9 { 11 } else { 5 };
@@ -159,7 +159,7 @@ mod tests {
     }
 
     #[test]
-    fn colours_are_possible_albedos() {
+    fn colors_are_possible_albedos() {
         let all = [
             Texture::Tiles,
             Texture::Sky,

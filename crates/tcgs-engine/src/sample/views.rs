@@ -33,7 +33,7 @@ pub(super) fn cameras(side: u32) -> Vec<Camera> {
         .flat_map(|ring| (0..ring.views).map(move |index| (ring, index)))
         .map(|(ring, index)| {
             let turn = std::f64::consts::TAU * index as f64 / ring.views as f64;
-            // A small rise and fall keeps the centres off one plane, as a hand-held walk would.
+            // A small rise and fall keeps the centers off one plane, as a hand-held walk would.
             let elevation = ring.elevation + 0.06 * sin(3.0 * turn);
             let flat = DVec3::new(cos(turn), sin(turn), 0.0) * cos(elevation);
             let position = target + (flat + DVec3::Z * sin(elevation)) * ring.distance;

@@ -35,7 +35,7 @@ impl Moments {
     }
 }
 
-/// One step of the optimiser.
+/// One step of the optimizer.
 #[derive(Debug, Clone, Copy)]
 pub struct AdamStep<'a> {
     /// From 1.
@@ -44,7 +44,7 @@ pub struct AdamStep<'a> {
     pub overflow_flag: &'a Buffer<u32>,
 }
 
-/// The optimiser's kernel.
+/// The optimizer's kernel.
 #[derive(Debug)]
 pub struct Adam {
     kernel: Arc<Kernel>,

@@ -1,4 +1,4 @@
-//! The base quantisation steps of the attribute groups: the width of the noise, and what step adjustments are relative to.
+//! The base quantization steps of the attribute groups: the width of the noise, and what step adjustments are relative to.
 //!
 //! Invariant: steps are positive and finite, and depend on the rows only.
 

@@ -45,6 +45,6 @@ pub(super) struct Flight {
     pub last: u32,
     /// Whether the figures of that step are reported once it is settled.
     pub is_reported: bool,
-    /// The rasteriser's counters after that step, then its figures if they are reported.
+    /// The rasterizer's counters after that step, then its figures if they are reported.
     pub reading: Readback,
 }

@@ -35,7 +35,7 @@ const PACKED: u64 = size_of::<u32>() as u64;
 /// Most photographs on their way to the device: those of the steps of two batches.
 const IN_FLIGHT: u64 = 2 * REPORT_INTERVAL as u64;
 
-/// Host bytes a point of the cloud: position and colour, both in the frame too, a copy of the position there, and its cell in sets and
+/// Host bytes a point of the cloud: position and color, both in the frame too, a copy of the position there, and its cell in sets and
 /// trees.
 const POINT_BYTES: u64 = 27 + 15 + 12 + 128;
 
@@ -120,9 +120,9 @@ impl<'a> Needs<'a> {
             unit: model.unit(),
             photographs,
             gpu: vec![
-                part("model and optimiser", model.model_bytes(size)),
+                part("model and optimizer", model.model_bytes(size)),
                 part("Gaussians of a view", model.view_bytes(size)),
-                part("rasteriser", raster(gaussians, pairs) + (sizes - 1) * raster(0, 0)),
+                part("rasterizer", raster(gaussians, pairs) + (sizes - 1) * raster(0, 0)),
                 part("loss", sizes * ImageLoss::bytes(self.adapter, self.largest)),
                 part("packed photographs", on_device),
                 part("constants", CONSTANT_BYTES),
@@ -139,7 +139,7 @@ impl<'a> Needs<'a> {
         }
     }
 
-    /// Pairs of Gaussian and tile that the rasteriser is assumed to make room for.
+    /// Pairs of Gaussian and tile that the rasterizer is assumed to make room for.
     fn pairs(&self, gaussians: usize) -> usize {
         let tiles = self.largest.map(|side| side.div_ceil(16) as usize);
         let assumed =
@@ -268,7 +268,7 @@ mod tests {
         assert_eq!(fault.needed.size, 15_000);
         let problem = Problem::from(fault);
         assert_eq!(problem.status, 507);
-        for words in ["16.0 MiB", "15000 anchors", "rasteriser", "photographs", "--gpu-memory", "smaller"] {
+        for words in ["16.0 MiB", "15000 anchors", "rasterizer", "photographs", "--gpu-memory", "smaller"] {
             assert!(problem.detail.contains(words), "'{}' should say '{words}'", problem.detail);
         }
     }

@@ -30,7 +30,7 @@ pub enum TrainError {
     /// The dataset has no training frame.
     #[error("the dataset has no training image")]
     NoTrainingFrames,
-    /// The point cloud cannot initialise a scene.
+    /// The point cloud cannot initialize a scene.
     #[error("the point cloud: {0}")]
     Points(#[from] InitError),
     /// The cameras look at a place so far from the origin that double precision cannot tell its points apart.

@@ -1,8 +1,8 @@
-//! The basis in which a scene's features are learnt, quantised and coded from the context model's start on (METHOD.md §4.12).
+//! The basis in which a scene's features are learnt, quantized and coded from the context model's start on (METHOD.md §4.12).
 //!
 //! Features matter only through the first layers of the networks, so any invertible linear map of them, with its inverse in those
 //! layers, leaves every picture as it is. [`FeatureBasis::of`] chooses the map whose channels are uncorrelated and in which an error
-//! of any channel changes the pictures equally: one quantisation step is then right for all channels, and those that vary by less
+//! of any channel changes the pictures equally: one quantization step is then right for all channels, and those that vary by less
 //! than a step is worth need no channel at all.
 //!
 //! Invariant: all numbers are f64 from sums of a fixed order.
@@ -12,7 +12,7 @@ use crate::init::symmetric_eigen;
 /// Share of the mean sensitivity that every direction has at least, so that no map has an infinite inverse.
 const MIN_SENSITIVITY: f64 = 1e-3;
 
-/// Standard deviation below which a channel is dropped, in quantisation steps, where all channels are scaled to make the error in
+/// Standard deviation below which a channel is dropped, in quantization steps, where all channels are scaled to make the error in
 /// pictures that they make before.
 const MIN_DEVIATION: f64 = 0.25;
 
@@ -37,9 +37,9 @@ impl FeatureMoments {
         mean.iter_mut().for_each(|sum| *sum /= count);
         let mut covariance = vec![0.0; width * width];
         for row in rows {
-            let centred: Vec<f64> =
+            let centered: Vec<f64> =
                 row.iter().zip(&mean).map(|(value, mean)| f64::from(*value) - mean).collect();
-            add_products(&mut covariance, &centred, 1.0 / count);
+            add_products(&mut covariance, &centered, 1.0 / count);
         }
         Self { mean, covariance }
     }
@@ -53,7 +53,7 @@ pub(super) fn add_products(sums: &mut [f64], values: &[f64], weight: f64) {
     }
 }
 
-/// A linear map of centred features to fewer channels, and back.
+/// A linear map of centered features to fewer channels, and back.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct FeatureBasis {
     /// Channels before.
@@ -66,13 +66,13 @@ pub(super) struct FeatureBasis {
     pub(super) to: Vec<f64>,
     /// `[width][channels]`.
     pub(super) back: Vec<f64>,
-    /// About the bits that a feature takes at the given quantisation step, over those that it took, without a context.
+    /// About the bits that a feature takes at the given quantization step, over those that it took, without a context.
     pub(super) bits_share: f64,
 }
 
 impl FeatureBasis {
     /// The basis for features of these `moments`, when `sensitivity` `[F][F]` is the mean product of a picture's derivatives by two
-    /// channels. The scale keeps the error in pictures that a quantisation step of all channels makes; here it is `quant_step`, and
+    /// channels. The scale keeps the error in pictures that a quantization step of all channels makes; here it is `quant_step`, and
     /// channels that vary little beside it are dropped. None where nothing depends on features, or nothing is finite.
     pub(super) fn of(moments: &FeatureMoments, sensitivity: &[f64], quant_step: f64) -> Option<Self> {
         let FeatureMoments { mean, covariance } = moments;
@@ -118,9 +118,9 @@ impl FeatureBasis {
 
     /// A feature in the new basis.
     pub(super) fn feature(&self, feature: &[f32]) -> Vec<f32> {
-        let centred: Vec<f64> =
+        let centered: Vec<f64> =
             feature.iter().zip(&self.mean).map(|(value, mean)| f64::from(*value) - mean).collect();
-        self.to.chunks_exact(self.width).map(|row| dot(row, &centred) as f32).collect()
+        self.to.chunks_exact(self.width).map(|row| dot(row, &centered) as f32).collect()
     }
 
     /// Mean squares of gradients by a feature as those by the feature in the new basis, for uncorrelated gradients.

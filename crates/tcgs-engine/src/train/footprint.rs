@@ -15,17 +15,17 @@ pub(super) trait Footprint: fmt::Debug {
     fn unit(&self) -> &'static str;
     /// The largest size that its schedule and the adapter's bindings allow.
     fn max_size(&self, adapter: &AdapterReport) -> usize;
-    /// Bytes on the device of the parameters, their gradients, the optimiser and growth, at their largest.
+    /// Bytes on the device of the parameters, their gradients, the optimizer and growth, at their largest.
     fn model_bytes(&self, size: usize) -> u64;
     /// Bytes on the device of making a view's Gaussians, and of the gradients back from them.
     fn view_bytes(&self, size: usize) -> u64;
-    /// Rows of Gaussians that the rasteriser is handed.
+    /// Rows of Gaussians that the rasterizer is handed.
     fn gaussians(&self, size: usize) -> usize;
     /// Bytes of main memory, at their largest.
     fn host_bytes(&self, size: usize) -> u64;
 }
 
-/// Host bytes an anchor of the context model's tables while they are made: neighbours, texels and both the other way round,
+/// Host bytes an anchor of the context model's tables while they are made: neighbors, texels and both the other way round,
 /// as lists and as they are sorted, and steps by cell.
 const CONTEXT_HOST_BYTES: usize = 1024;
 

@@ -253,7 +253,7 @@ impl LossSums {
         (1.0 - SSIM_WEIGHT) * self.l1 + SSIM_WEIGHT * (1.0 - self.ssim) + self.wavelet
     }
 
-    /// PSNR of the unquantised render in dB, at most 100.
+    /// PSNR of the unquantized render in dB, at most 100.
     #[must_use]
     pub fn psnr(&self) -> f64 {
         -10.0 * self.mse.max(1e-10).log10()

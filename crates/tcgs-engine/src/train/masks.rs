@@ -104,7 +104,7 @@ impl OffsetMasks {
     }
 
     /// Records the gradients by the logits: `weight` times the mean logistic over all offsets, and what the view of
-    /// `neural`'s last forward and the rasteriser's last backward pass say.
+    /// `neural`'s last forward and the rasterizer's last backward pass say.
     ///
     /// # Errors
     /// [`RenderError::OutOfStep`] before a backward pass; errors of the device.
@@ -159,7 +159,7 @@ impl OffsetMasks {
         Ok(())
     }
 
-    /// Records an optimiser step with the last gradients, then the masks: an offset makes Gaussians while its logit is above
+    /// Records an optimizer step with the last gradients, then the masks: an offset makes Gaussians while its logit is above
     /// `level`.
     pub fn step(
         &self,

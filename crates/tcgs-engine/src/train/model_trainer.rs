@@ -1,6 +1,6 @@
 //! The part of a training run that differs between the kinds of model.
 //!
-//! The training loop owns photographs, rasteriser and losses; a [`ModelTrainer`] turns its parameters into the Gaussians of a
+//! The training loop owns photographs, rasterizer and losses; a [`ModelTrainer`] turns its parameters into the Gaussians of a
 //! view, and the loss's gradients by those Gaussians into its next parameters. Invariants: the state after a step depends only on
 //! the state before it, the camera, the step and the random generator; and a trainer made from the state that
 //! [`ModelTrainer::save`] returned continues with the same bits.
@@ -81,10 +81,10 @@ pub(super) trait ModelTrainer {
     /// What the last [`ModelTrainer::forward`] recorded.
     fn gaussians(&self) -> &Gaussians;
 
-    /// The buffers that the rasteriser writes the loss's gradients by those Gaussians to.
+    /// The buffers that the rasterizer writes the loss's gradients by those Gaussians to.
     fn gaussian_gradients(&mut self) -> Result<GaussianGradients>;
 
-    /// Records the gradients by the parameters, the statistics that growth goes by, and the optimiser's step. If `overflow_flag` is
+    /// Records the gradients by the parameters, the statistics that growth goes by, and the optimizer's step. If `overflow_flag` is
     /// set by the time that these are run, the step will be repeated, so nothing of it may persist.
     fn backward(
         &mut self,

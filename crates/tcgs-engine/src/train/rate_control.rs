@@ -43,7 +43,7 @@ const REMAINING: [(f64, [f64; 2]); 4] =
 const SHORT: f64 = 155.0;
 const LONG: f64 = 1033.0;
 
-/// Octaves by which quantisation steps become coarser at most when everything is rounded, and finer at most. In runs of 300 steps an
+/// Octaves by which quantization steps become coarser at most when everything is rounded, and finer at most. In runs of 300 steps an
 /// octave makes a file a fifth smaller, for about as much PSNR as a larger lambda would have cost.
 const COARSER_OCTAVES: f32 = 1.5;
 const FINER_OCTAVES: f32 = 0.5;
@@ -55,7 +55,7 @@ const ROUNDED_GROWTH: [f64; 2] = [0.005, 0.022];
 /// Largest lambda, as a multiple of the run's own.
 const MAX_RATIO: f64 = 64.0;
 
-/// What quantisation steps have to reach when everything is rounded, from where on lambda hardly changes the file's size.
+/// What quantization steps have to reach when everything is rounded, from where on lambda hardly changes the file's size.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SizeAim {
     target: f64,
@@ -63,7 +63,7 @@ pub struct SizeAim {
 }
 
 impl SizeAim {
-    /// The limit of a file `fixed` bytes of which do not depend on quantisation.
+    /// The limit of a file `fixed` bytes of which do not depend on quantization.
     #[must_use]
     pub fn limit(&self, fixed: f64) -> SizeLimit {
         // Never finer than without a target.
@@ -72,12 +72,12 @@ impl SizeAim {
     }
 }
 
-/// The file that quantisation steps are fitted to.
+/// The file that quantization steps are fitted to.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SizeLimit {
     /// Its bytes.
     pub bytes: f64,
-    /// Octaves by which all quantisation steps may become coarser, or finer where less than zero.
+    /// Octaves by which all quantization steps may become coarser, or finer where less than zero.
     pub octaves: RangeInclusive<f32>,
 }
 
@@ -296,7 +296,7 @@ mod tests {
     }
 
     #[test]
-    fn quantisation_steps_become_finer_only_where_a_raised_lambda_saved_too_much() {
+    fn quantization_steps_become_finer_only_where_a_raised_lambda_saved_too_much() {
         let mut control = RateControl::new(1e-3, 10_000, WINDOW);
         assert_eq!(control.aim().limit(0.0).octaves, 0.0..=COARSER_OCTAVES);
         control.observe(1500, 20_000.0, 0.0);

@@ -26,7 +26,7 @@ pub(super) struct TrainingSet {
 #[derive(Debug, Clone, Default, PartialEq)]
 pub(super) struct Points {
     pub(super) positions: Vec<[f32; 3]>,
-    /// sRGB colours, as many as positions, or none.
+    /// sRGB colors, as many as positions, or none.
     pub(super) colors: Vec<[u8; 3]>,
 }
 

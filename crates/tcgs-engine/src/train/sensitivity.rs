@@ -14,7 +14,7 @@ use crate::{
 const VIEWS: usize = 8;
 
 /// Behind everything, so that covering it counts, whatever the set's background is.
-const GREY: [f32; 3] = [0.5; 3];
+const GRAY: [f32; 3] = [0.5; 3];
 
 /// The products of a picture's derivatives by two channels, `[F][F]`, summed over the anchors of views that are spread evenly over
 /// `views`. Overwrites `gradients`.
@@ -40,7 +40,7 @@ pub(super) fn feature_sensitivity(
         loop {
             let mut recorder = device.recorder("view to measure");
             neural.forward(&mut recorder, anchors, camera, 0.0)?;
-            raster.forward(&mut recorder, neural.gaussians(), camera, GREY)?;
+            raster.forward(&mut recorder, neural.gaussians(), camera, GRAY)?;
             recorder.submit()?;
             match raster.take_forward_passes()?.required {
                 None => break,

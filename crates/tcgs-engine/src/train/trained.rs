@@ -26,7 +26,7 @@ pub struct Trained {
 /// What compression-aware training leaves for the encoder.
 #[derive(Debug, Clone, PartialEq)]
 pub struct TrainedContext {
-    /// The base quantisation steps that the scene was trained with.
+    /// The base quantization steps that the scene was trained with.
     pub base_quant_steps: BaseQuantSteps,
     /// The context models that the encoder may select.
     pub candidates: ContextCandidates,

@@ -1,6 +1,6 @@
 //! An anchor model that begins as plain Gaussians: they move to the surfaces and grow there, and then become anchors.
 //!
-//! Invariants: the steps of both stages are the run's; the second stage's optimiser and statistics begin anew.
+//! Invariants: the steps of both stages are the run's; the second stage's optimizer and statistics begin anew.
 
 use std::sync::Arc;
 

@@ -201,7 +201,7 @@ fn one_cell(device: &Arc<Device>) -> Result<Errors, CaseFault> {
     compare(device, &anchors(44, MILLI, cells(44, 10, 1000).repeat(4)), &camera(40, 36))
 }
 
-/// A lattice whose origin is 1e5 from the world's, where neighbouring f32 are 0.008 apart.
+/// A lattice whose origin is 1e5 from the world's, where neighboring f32 are 0.008 apart.
 fn far(device: &Arc<Device>) -> Result<Errors, CaseFault> {
     let lattice = Lattice { voxel: 1.0 / 64.0, origin: [1e5, -1e5, 1e5] };
     let origin = DVec3::new(1e5, -1e5, 1e5);

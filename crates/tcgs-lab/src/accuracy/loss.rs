@@ -71,7 +71,7 @@ impl Pair {
         Self { size: USizeVec2::from(size), render, photograph }
     }
 
-    /// One colour each.
+    /// One color each.
     fn flat(photograph: [u8; 3], difference: f32) -> Self {
         Self::new([40, 33], || photograph, |pixel| pixel.map(|v| f32::from(v) / 255.0 + difference))
     }

@@ -11,7 +11,7 @@ mod error;
 mod images;
 mod loss;
 mod norms;
-mod optimiser;
+mod optimizer;
 mod primitives;
 mod projection;
 mod raster;
@@ -35,7 +35,7 @@ pub fn cases() -> Vec<&'static Case> {
         anchors::CASES,
         loss::CASES,
         entropy::CASES,
-        optimiser::CASES,
+        optimizer::CASES,
         sums::CASES,
         primitives::CASES,
     ];

@@ -61,7 +61,7 @@ pub(super) const CASES: &[Case] = &[
         bounds: &bounds(1e-4, 1e-4, "as near the origin: differences to the camera are exact"),
         measure: far,
     },
-    Case { name: "quaternions-of-any-length", bounds: &bounds(1e-4, 1e-4, FORTY), measure: unnormalised },
+    Case { name: "quaternions-of-any-length", bounds: &bounds(1e-4, 1e-4, FORTY), measure: unnormalized },
     Case {
         name: "zero-quaternions",
         bounds: &[Bound { quantity: ALONE, largest: 0.0, why: UNTOUCHED }],
@@ -123,7 +123,7 @@ fn camera_inside(device: &Arc<Device>) -> Result<Errors, CaseFault> {
     compare(device, PLAIN, &scene, &camera)
 }
 
-/// Centres at the near plane, a few units in the last place before and behind it.
+/// Centers at the near plane, a few units in the last place before and behind it.
 fn near_plane(device: &Arc<Device>) -> Result<Errors, CaseFault> {
     let scene = changed(gaussians(6, 40, 0.02), |i, g| {
         let steps = [-2, -1, 0, 1, 2, 1000, 100_000][i % 7];
@@ -157,7 +157,7 @@ fn huge(device: &Arc<Device>) -> Result<Errors, CaseFault> {
     scaled(device, 1e6)
 }
 
-/// A scene 1e5 from the origin along each axis, where neighbouring f32 are 0.008 apart.
+/// A scene 1e5 from the origin along each axis, where neighboring f32 are 0.008 apart.
 fn far(device: &Arc<Device>) -> Result<Errors, CaseFault> {
     let origin = DVec3::new(1e5, -1e5, 1e5);
     let scene = changed(gaussians(9, 60, 0.2), |_, g| g.mean += origin);
@@ -165,7 +165,7 @@ fn far(device: &Arc<Device>) -> Result<Errors, CaseFault> {
     compare(device, PLAIN, &scene, &camera)
 }
 
-fn unnormalised(device: &Arc<Device>) -> Result<Errors, CaseFault> {
+fn unnormalized(device: &Arc<Device>) -> Result<Errors, CaseFault> {
     let scene = changed(gaussians(10, 60, 0.2), |i, g| {
         let length = 10_f64.powi(3 * (i as i32 % 5) - 6);
         g.quat = g.quat.map(|v| v * length);

@@ -1,4 +1,4 @@
-//! The rasteriser on a device beside its f64 twin, forward and backward.
+//! The rasterizer on a device beside its f64 twin, forward and backward.
 //!
 //! A pixel at which the twin's decision (a contribution at the cut-off or the clamp of its opacity, the end of the pixel) lies
 //! within [`MARGIN`] of the other one is not compared, and its derivative is zero: rounding may decide it either way.
@@ -26,9 +26,9 @@ pub(super) const V_MEANS: &str = "gradient by positions, relative L2";
 pub(super) const V_OPACITIES: &str = "gradient by opacities, relative L2";
 pub(super) const V_SCALES: &str = "gradient by scales, relative L2";
 pub(super) const V_QUATS: &str = "gradient by quaternions, relative L2";
-pub(super) const V_COLORS: &str = "gradient by colours, relative L2";
+pub(super) const V_COLORS: &str = "gradient by colors, relative L2";
 
-/// Colour behind all scenes.
+/// Color behind all scenes.
 pub(super) const BACKGROUND: [f32; 3] = [0.25, 0.5, 0.75];
 
 /// The usual settings.
@@ -52,9 +52,9 @@ pub(super) const fn bounds(image: f64, gradients: f64, why: &'static str) -> [Bo
 /// What the device computed.
 pub(super) struct Rendered {
     pub(super) counts: RasterCounts,
-    /// Colour and transmittance.
+    /// Color and transmittance.
     pub(super) image: Vec<[f32; 4]>,
-    /// Gradients by means and opacities, scales, quaternions, colours.
+    /// Gradients by means and opacities, scales, quaternions, colors.
     pub(super) gradients: [Vec<[f32; 4]>; 4],
 }
 
@@ -87,7 +87,7 @@ fn upload(device: &Device, scene: &[Gaussian]) -> Result<Gaussians, CaseFault> {
         capacity: scene.len(),
         origin: [0.0; 3],
         geometry: device.upload("geometry", &geometry)?,
-        colors: device.upload("colours", &colors)?,
+        colors: device.upload("colors", &colors)?,
     })
 }
 

@@ -58,7 +58,7 @@ fn intrinsics(width: u32, height: u32) -> Intrinsics {
     }
 }
 
-/// A camera at distance 4 that looks at the box, off centre, with unequal focal lengths.
+/// A camera at distance 4 that looks at the box, off center, with unequal focal lengths.
 pub(super) fn camera(width: u32, height: u32) -> Camera {
     camera_at(DVec3::new(3.0, -2.0, 1.7), DVec3::ZERO, width, height)
 }

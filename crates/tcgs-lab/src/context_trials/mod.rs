@@ -28,8 +28,8 @@ use tcgs_render::gpu::Device;
 /// Edges of the planes that are tried.
 const EDGES: [usize; 3] = [32, 64, 128];
 
-/// Edge of the planes whose neighbours are tried too.
-const NEIGHBOURS_EDGE: usize = 64;
+/// Edge of the planes whose neighbors are tried too.
+const NEIGHBORS_EDGE: usize = 64;
 
 /// Bits of a weight that are tried.
 const WEIGHT_BITS: [u8; 3] = [8, 6, 4];
@@ -45,7 +45,7 @@ pub struct ContextTrial {
     pub fit_seconds: f64,
 }
 
-/// Fits and codes every kind: tables, the position, planes of three edges, and neighbours on one of them; then the encoder's own
+/// Fits and codes every kind: tables, the position, planes of three edges, and neighbors on one of them; then the encoder's own
 /// choice among all of these, group by group. Calls `begin` with the name of each.
 ///
 /// # Errors
@@ -66,7 +66,7 @@ pub fn context_trials(
     let kinds = [(ContextKind::Position, EDGES[0])]
         .into_iter()
         .chain(EDGES.map(|edge| (ContextKind::TriPlane, edge)))
-        .chain([(ContextKind::TriPlaneKnn, NEIGHBOURS_EDGE)]);
+        .chain([(ContextKind::TriPlaneKnn, NEIGHBORS_EDGE)]);
 
     begin("tables");
     let tables = code(trial, None, ContextSearch::Cheapest)?;
@@ -77,7 +77,7 @@ pub fn context_trials(
         let context = match kind {
             ContextKind::Position => "position".to_owned(),
             ContextKind::TriPlane => format!("planes of {edge}"),
-            ContextKind::TriPlaneKnn => format!("planes of {edge}, neighbours"),
+            ContextKind::TriPlaneKnn => format!("planes of {edge}, neighbors"),
         };
         begin(&context);
         let began = Instant::now();
@@ -142,7 +142,7 @@ fn in_words(choice: &ContextChoice) -> String {
         GroupChoice::Static => "tables",
         GroupChoice::Network { kind: ContextKind::Position, .. } => "position",
         GroupChoice::Network { kind: ContextKind::TriPlane, .. } => "planes",
-        GroupChoice::Network { kind: ContextKind::TriPlaneKnn, .. } => "neighbours",
+        GroupChoice::Network { kind: ContextKind::TriPlaneKnn, .. } => "neighbors",
     };
     choice.groups.map(group).join(", ")
 }

@@ -9,7 +9,7 @@ use tcgs_codec::{
 };
 use tcgs_engine::train::BaseQuantSteps;
 
-/// Anchors with one quantisation step for each attribute group.
+/// Anchors with one quantization step for each attribute group.
 #[derive(Debug, Clone, PartialEq)]
 pub struct TrialScene {
     /// The anchors.

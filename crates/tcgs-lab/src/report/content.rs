@@ -310,7 +310,7 @@ impl Content<'_> {
             "noise − floats",
             "rounding − floats",
             "noise − rounding",
-            "quantised networks",
+            "quantized networks",
             "file − floats",
             "integer / float bits",
             "bytes / ideal",
@@ -341,7 +341,7 @@ impl Content<'_> {
         });
         let note = "dB are differences of held-out PSNR over the same few views; floats are attributes and networks as trained, before any \
             rounding. Bits are those of the integer context networks over those of the float networks they were made of. The last \
-            three columns are of colours from 0 to 1: the renderer against the f64 reference on the decoded scene, and the reference \
+            three columns are of colors from 0 to 1: the renderer against the f64 reference on the decoded scene, and the reference \
             against itself without the cut-offs of blending. * marks means whose interval excludes zero.";
         let mut blocks = vec![Block::Table(Table::new(head, rows)), Block::Note(note.to_owned())];
         let exports = self.exports();

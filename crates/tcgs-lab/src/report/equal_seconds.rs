@@ -1,7 +1,7 @@
 //! What one model reaches in the seconds that a run of another took.
 //!
 //! A model's runs with several schedules are points of a curve: PSNR and the logarithm of the bytes, each linear in the logarithm of the
-//! seconds between neighbouring points. Every point is a whole schedule, so its learning rates have fallen by its end. Nothing is
+//! seconds between neighboring points. Every point is a whole schedule, so its learning rates have fallen by its end. Nothing is
 //! extrapolated, and only runs of one seed and session are compared, which met the machine in the same state.
 
 use tcgs_engine::eval::Estimate;

@@ -92,7 +92,7 @@ fn rendering(sweeps: &[SweepRecord]) -> Vec<Plot> {
             file: "render-error".to_owned(),
             caption: "Made scenes; the least of several renders of each variant, all variants in turn, against the f64 reference."
                 .to_owned(),
-            chart: chart("Rendering: time against error", "ms a view", "rms error of colours", by_variant),
+            chart: chart("Rendering: time against error", "ms a view", "rms error of colors", by_variant),
         },
         Plot {
             file: "render-gaussians".to_owned(),

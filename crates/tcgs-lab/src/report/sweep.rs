@@ -143,7 +143,7 @@ fn camera(side: u32) -> Result<Camera, RenderError> {
     Camera::new(intrinsics, pose).map_err(|_| fault("camera"))
 }
 
-/// Flat Gaussians on a shell of radius one, about as wide as the distance to their neighbours and turned at random, as on a surface.
+/// Flat Gaussians on a shell of radius one, about as wide as the distance to their neighbors and turned at random, as on a surface.
 fn shell(count: usize) -> GaussianScene {
     let mut rng = Pcg64::seed_from_u64(1);
     let spacing = (4.0 * std::f32::consts::PI / count.max(1) as f32).sqrt();

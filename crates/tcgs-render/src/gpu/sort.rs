@@ -5,7 +5,7 @@
 //!
 //! Software adapters give each invocation a contiguous run of keys and its own counters, without barriers (`sort_count`,
 //! `sort_offsets`, `sort_scatter`). Hardware gives each workgroup a block of keys, which it sorts in its own memory, so that
-//! neighbouring lanes read and write neighbouring places (`radix_histogram`, `radix_scan`, `radix_scatter`).
+//! neighboring lanes read and write neighboring places (`radix_histogram`, `radix_scan`, `radix_scatter`).
 
 use std::sync::Arc;
 

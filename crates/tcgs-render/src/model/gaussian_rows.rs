@@ -1,8 +1,8 @@
 //! Plain Gaussians in training, on the host: the layout of their parameters.
 //!
-//! A Gaussian has 59 values: fourteen base values (mean, log-scales, quaternion, opacity logit, constant colour) and 45
+//! A Gaussian has 59 values: fourteen base values (mean, log-scales, quaternion, opacity logit, constant color) and 45
 //! coefficients of spherical harmonics, three bands of 9, 15 and 21. Each of the four groups is a block of rows of its
-//! own, so that a band that is not yet in use costs neither memory traffic nor optimiser steps.
+//! own, so that a band that is not yet in use costs neither memory traffic nor optimizer steps.
 
 use super::retain_rows;
 use crate::domain::{GaussianScene, gaussians::SH_COEFFICIENTS};
@@ -15,11 +15,11 @@ pub const LOG_SCALE: usize = 3;
 pub const QUAT: usize = 6;
 /// The opacity's logit in a base row.
 pub const OPACITY: usize = 10;
-/// First of the constant colour's three coefficients in a base row.
+/// First of the constant color's three coefficients in a base row.
 pub const COLOR: usize = 11;
 /// Values of each band: red, green, blue of each coefficient in turn.
 pub const BANDS: [usize; 3] = [9, 15, 21];
-/// The constant basis function of spherical harmonics: a colour is this times the coefficient, plus a half.
+/// The constant basis function of spherical harmonics: a color is this times the coefficient, plus a half.
 pub const SH_CONSTANT: f32 = 0.282_094_8;
 
 /// Values of the first `degree` bands together.
@@ -28,10 +28,10 @@ pub fn band_values(degree: usize) -> usize {
     BANDS.iter().take(degree).sum()
 }
 
-/// Rows of all Gaussians: parameters, or one of the optimiser's moments.
+/// Rows of all Gaussians: parameters, or one of the optimizer's moments.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct GaussianRows {
-    /// `[N][14]`: mean 3, log-scales 3, quaternion 4 (w, x, y, z), opacity logit, constant colour 3.
+    /// `[N][14]`: mean 3, log-scales 3, quaternion 4 (w, x, y, z), opacity logit, constant color 3.
     pub base: Vec<f32>,
     /// `[N][9]`, `[N][15]` and `[N][21]`: the coefficients of each degree, red, green, blue of each in turn.
     pub bands: [Vec<f32>; 3],

@@ -1,6 +1,6 @@
 //! The three render networks in one flat array of parameters.
 //!
-//! They share their input, so their first layers are one layer of three times as many outputs as a network has hidden values (opacity, covariance, colour in this
+//! They share their input, so their first layers are one layer of three times as many outputs as a network has hidden values (opacity, covariance, color in this
 //! order); each output layer reads its own third of the hidden values. Weights are input-major: the weight of
 //! (output o, input i) is at `weights + i * outputs + o`.
 
@@ -51,7 +51,7 @@ pub struct NetworkLayout {
     pub shape: Shape,
     /// The three first layers as one.
     pub hidden: LayerSpec,
-    /// Output layers: opacity, covariance, colour.
+    /// Output layers: opacity, covariance, color.
     pub heads: [LayerSpec; 3],
     /// Parameters in all.
     pub parameters: usize,
@@ -102,7 +102,7 @@ impl NetworkLayout {
         values
     }
 
-    /// Which network (0 opacity, 1 covariance, 2 colour) each parameter belongs to.
+    /// Which network (0 opacity, 1 covariance, 2 color) each parameter belongs to.
     #[must_use]
     pub fn owners(&self) -> Vec<u8> {
         let mut owners = vec![0; self.parameters];
@@ -181,7 +181,7 @@ mod tests {
         let layout = NetworkLayout::new(Shape::new(8, 3));
         let values = layout.initial(&mut rand_pcg::Pcg64::seed_from_u64(1));
         assert_eq!(layout.from_networks(&layout.to_networks(&values)), Ok(values.clone()));
-        assert!(values.iter().all(|value| *value != 0.0), "every parameter is initialised");
+        assert!(values.iter().all(|value| *value != 0.0), "every parameter is initialized");
         assert_eq!(values.len(), (12 + 1) * 24 + (8 + 1) * 33);
     }
 

@@ -38,9 +38,9 @@ pub struct Gaussian {
 /// A Gaussian on the image plane.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Splat {
-    /// Centre in pixels.
+    /// Center in pixels.
     pub center: DVec2,
-    /// Depth of the centre.
+    /// Depth of the center.
     pub depth: f64,
     /// Opacity after the antialiasing compensation.
     pub opacity: f64,
@@ -57,13 +57,13 @@ pub struct Splat {
 /// Gradients by a splat; B of the conic counted once.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct SplatGradient {
-    /// By the centre in pixels.
+    /// By the center in pixels.
     pub center: DVec2,
     /// By the effective opacity.
     pub opacity: f64,
     /// By A, B, C.
     pub conic: DVec3,
-    /// By the colour.
+    /// By the color.
     pub color: DVec3,
 }
 
@@ -78,7 +78,7 @@ pub struct GaussianGradient {
     pub scale: DVec3,
     /// By the quaternion as given.
     pub quat: [f64; 4],
-    /// By the colour.
+    /// By the color.
     pub color: DVec3,
 }
 

@@ -76,7 +76,7 @@ fn inside() -> Camera {
     Camera::new(random::camera(40, 30).intrinsics, pose).expect("a camera")
 }
 
-/// Gradients by a Gaussian and by its projected centre; tiles that it touches and radius.
+/// Gradients by a Gaussian and by its projected center; tiles that it touches and radius.
 type Given = (GaussianGradient, DVec2, u32, f64);
 
 /// Random gradients; a quarter of the Gaussians touch no tile.
@@ -94,7 +94,7 @@ fn gradients(seed: u64, count: usize) -> Vec<Given> {
 }
 
 struct Found {
-    /// Positions and opacities, scales, quaternions, colours.
+    /// Positions and opacities, scales, quaternions, colors.
     gaussians: [Vec<[f32; 4]>; 4],
     d_rows: GaussianRows,
     statistics: Vec<f32>,
@@ -182,7 +182,7 @@ fn matches_twin(device: &Arc<Device>, rows: &GaussianRows, camera: &Camera, degr
     assert_near("means and opacities", &column(0, 4), &of(&|g| g.mean.extend(g.opacity).to_array().into()));
     assert_near("scales", &column(1, 3), &of(&|g| g.scale.to_array().into()));
     assert_near("quaternions", &column(2, 4), &of(&|g| g.quat.into()));
-    assert_near("colours", &column(3, 3), &of(&|g| g.color.to_array().into()));
+    assert_near("colors", &column(3, 3), &of(&|g| g.color.to_array().into()));
 
     let (mut by_base, mut by_sh) = (Vec::new(), [Vec::new(), Vec::new(), Vec::new()]);
     let mut statistics = Vec::new();
@@ -207,7 +207,7 @@ fn matches_twin(device: &Arc<Device>, rows: &GaussianRows, camera: &Camera, degr
         ("log-scale", LOG_SCALE..QUAT),
         ("quaternion", QUAT..OPACITY),
         ("opacity", OPACITY..COLOR),
-        ("colour", COLOR..BASE),
+        ("color", COLOR..BASE),
     ] {
         let part = |rows: &mut dyn Iterator<Item = Vec<f64>>| -> Vec<f64> {
             rows.flat_map(|row| row[range.clone()].to_vec()).collect()
@@ -349,7 +349,7 @@ fn the_whole_way_to_the_image_and_back_matches_the_oracles() {
         let device_gaussians = DeviceGaussians::upload(&device, &rows).expect("room");
         let mut plain = PlainGaussians::new(Arc::clone(&device), settings.near).expect("the kernels");
         plain.set_degree(3).expect("the kernels");
-        let mut raster = Rasterizer::new(Arc::clone(&device), settings).expect("a rasteriser");
+        let mut raster = Rasterizer::new(Arc::clone(&device), settings).expect("a rasterizer");
         let background = oracle.background().as_vec3().to_array();
         loop {
             let mut recorder = device.recorder("forward");
@@ -416,7 +416,7 @@ fn the_radius_is_three_deviations_along_the_longer_axis() {
     let rows = rows(6, 300);
     let device_gaussians = DeviceGaussians::upload(&device, &rows).expect("room");
     let mut plain = PlainGaussians::new(Arc::clone(&device), NEAR).expect("the kernels");
-    let mut raster = Rasterizer::new(Arc::clone(&device), RasterSettings::default()).expect("a rasteriser");
+    let mut raster = Rasterizer::new(Arc::clone(&device), RasterSettings::default()).expect("a rasterizer");
     let mut recorder = device.recorder("forward");
     plain.forward(&mut recorder, &device_gaussians, &camera).expect("recorded");
     raster.forward(&mut recorder, plain.gaussians(), &camera, [0.0; 3]).expect("recorded");

@@ -1,4 +1,4 @@
-//! The rasteriser on the device: against the twin on random scenes, and on edge cases.
+//! The rasterizer on the device: against the twin on random scenes, and on edge cases.
 
 use std::sync::Arc;
 
@@ -24,7 +24,7 @@ fn run(settings: RasterSettings, scene: &Scene, camera: &Camera) -> Rendered {
 }
 
 fn run_on(device: &Arc<Device>, settings: RasterSettings, scene: &Scene, camera: &Camera) -> Rendered {
-    let mut rasterizer = Rasterizer::new(Arc::clone(device), settings).expect("a rasteriser");
+    let mut rasterizer = Rasterizer::new(Arc::clone(device), settings).expect("a rasterizer");
     let pixels = camera.intrinsics.width as usize * camera.intrinsics.height as usize;
     render(device, &mut rasterizer, scene, camera, BACKGROUND, &random::v_image(9, pixels))
 }

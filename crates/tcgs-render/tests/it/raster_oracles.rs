@@ -1,4 +1,4 @@
-//! The rasteriser against independent values: every case of `tests/oracles/splatting`, on the device and in the f64 twin.
+//! The rasterizer against independent values: every case of `tests/oracles/splatting`, on the device and in the f64 twin.
 
 use std::sync::Arc;
 
@@ -11,7 +11,7 @@ use crate::support::{
     sh::sh_backward,
 };
 
-/// Largest difference of a colour on the device: blending in f32 differs by about 1e-6, a flipped 1/255 decision by 4e-3;
+/// Largest difference of a color on the device: blending in f32 differs by about 1e-6, a flipped 1/255 decision by 4e-3;
 /// no case flips one.
 const DEVICE_RGB: f64 = 1e-4;
 /// The same for the twin, whose f64 arithmetic only orders its operations differently from the reference's.
@@ -24,7 +24,7 @@ const UNORDERED: &str = "depth_ties";
 
 /// What an implementation computed for a case.
 struct Found {
-    /// Colour and transmittance.
+    /// Color and transmittance.
     image: Vec<[f64; 4]>,
     v_means: Vec<[f64; 3]>,
     v_opacities: Vec<f64>,
@@ -76,7 +76,7 @@ fn on_the_device(oracle: &Oracle, subgroups: bool) -> Found {
     let v_image: Vec<[f32; 4]> = oracle.v_image().iter().map(|pixel| pixel.map(|v| v as f32)).collect();
     let background = oracle.background().as_vec3().to_array();
     let new = if subgroups { Rasterizer::new } else { Rasterizer::without_subgroups };
-    let mut rasterizer = new(Arc::clone(&device), oracle.settings()).expect("a rasteriser");
+    let mut rasterizer = new(Arc::clone(&device), oracle.settings()).expect("a rasterizer");
     let got = render(&device, &mut rasterizer, &scene, &oracle.camera(), background, &v_image);
     let visible: Vec<[f32; 4]> = oracle.ids().iter().map(|id| got.v_means2d[*id]).collect();
     Found {

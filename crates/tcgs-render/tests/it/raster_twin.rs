@@ -84,13 +84,13 @@ fn gradients_of_antialiased_rendering_are_exact() {
 
 #[test]
 fn gradients_are_exact_where_opacity_is_clamped() {
-    // Above 0.99 around the centre, below further out.
+    // Above 0.99 around the center, below further out.
     check(RasterSettings::default(), |g| g.opacity = 1.4);
 }
 
 #[test]
 fn gradients_are_exact_where_the_jacobian_is_clamped() {
-    // Large Gaussians beside the view, whose centres lie beyond the clamp.
+    // Large Gaussians beside the view, whose centers lie beyond the clamp.
     check(RasterSettings::default(), |g| {
         g.mean = g.mean * 0.5 + DVec3::new(1.6, 2.4, 0.0);
         g.scale = g.scale * 2.0 + 0.5;

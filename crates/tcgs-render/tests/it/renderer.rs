@@ -135,7 +135,7 @@ fn depth_and_alpha_are_the_twins() {
     assert!(seen > 100 && empty > 10, "{seen} pixels see something, {empty} nothing");
     let image = renderer.render(&camera).expect("a view");
     let mut fresh = Renderer::new(&gpu(), &finished, Background::White).expect("a renderer");
-    assert_eq!(fresh.render(&camera), Ok(image), "colours are what they are without depth before them");
+    assert_eq!(fresh.render(&camera), Ok(image), "colors are what they are without depth before them");
 }
 
 #[test]

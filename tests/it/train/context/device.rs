@@ -216,7 +216,7 @@ fn what_does_not_fit_is_refused() {
         let refused = net.forward(&mut recorder, &sample, &ContextPass::RAW);
         assert!(matches!(refused, Err(TrainError::Context(ContextError::Anchors(_)))), "{sample:?}");
     }
-    let stray = ContextAnchors { neighbours: vec![20; 20], ..scene.anchors.clone() };
+    let stray = ContextAnchors { neighbors: vec![20; 20], ..scene.anchors.clone() };
     assert!(matches!(net.place(&stray), Err(TrainError::Context(ContextError::Anchors(_)))));
 }
 

@@ -1,8 +1,8 @@
 //! Masks weigh their offsets' bits: the twin against central differences, the kernel against the twin.
 
-use tcgs::train::{Adam, AdamStep, MaskRows, OffsetMasks, context::QuantisationPhase, twin};
+use tcgs::train::{Adam, AdamStep, MaskRows, OffsetMasks, context::QuantizationPhase, twin};
 
-use super::scene::{Case, LAMBDA, OnDevice, SMALL, f64s, quantisation};
+use super::scene::{Case, LAMBDA, OnDevice, SMALL, f64s, quantization};
 use crate::support::{gpu::gpu, oracle::relative_l2};
 
 fn logistic(x: f64) -> f64 {
@@ -29,7 +29,7 @@ fn the_kernel_adds_the_rates_gradient_for_the_sampled_anchors() {
     let device = gpu();
     let case = Case::random(51, SMALL, COUNT, 33);
     let uploaded = OnDevice::upload(&device, &case, &vec![0.0; COUNT * SMALL.row()]);
-    uploaded.run(&device, &quantisation(QuantisationPhase::Noise));
+    uploaded.run(&device, &quantization(QuantizationPhase::Noise));
     let offsets = COUNT * SMALL.offsets;
     let logits: Vec<f32> = (0..offsets).map(|i| (i % 13) as f32 * 0.5 - 4.0).collect();
     let rows = MaskRows { logits: logits.clone(), ..MaskRows::new(offsets) };

@@ -1,9 +1,9 @@
-//! The rate term: bits in the stable form, quantised rows, the gradients of both, and networks as a file keeps them.
+//! The rate term: bits in the stable form, quantized rows, the gradients of both, and networks as a file keeps them.
 
 mod bits;
 mod masks;
 mod networks;
-mod quantise;
+mod quantize;
 mod scene;
 mod stability;
 mod term;

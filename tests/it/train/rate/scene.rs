@@ -8,7 +8,7 @@ use tcgs::{
     model::{AnchorRows, Shape, all_offsets},
     render::DeviceAnchors,
     train::context::{
-        AnchorSample, Quantisation, QuantisationPhase, QuantisedRows, RateInputs, RateTerm, SampleOutputs,
+        AnchorSample, Quantization, QuantizationPhase, QuantizedRows, RateInputs, RateTerm, SampleOutputs,
     },
 };
 
@@ -23,8 +23,8 @@ pub(super) const BASE_STEPS: [f32; 3] = [0.7, 0.013, 0.21];
 
 pub(super) const LAMBDA: f64 = 3.0;
 
-pub(super) fn quantisation(phase: QuantisationPhase) -> Quantisation {
-    Quantisation { phase, base_quant_steps: BASE_STEPS, key: Quantisation::key(11, 4) }
+pub(super) fn quantization(phase: QuantizationPhase) -> Quantization {
+    Quantization { phase, base_quant_steps: BASE_STEPS, key: Quantization::key(11, 4) }
 }
 
 pub(super) fn f64s(values: &[f32]) -> Vec<f64> {
@@ -138,7 +138,7 @@ pub(super) fn rounded_octaves(adjustment: f64) -> f64 {
 /// A case on the device.
 pub(super) struct OnDevice {
     pub(super) anchors: DeviceAnchors,
-    pub(super) quantised: QuantisedRows,
+    pub(super) quantized: QuantizedRows,
     pub(super) list: Buffer<u32>,
     pub(super) count: usize,
     pub(super) outputs: Buffer<f32>,
@@ -177,7 +177,7 @@ impl OnDevice {
         let junk = |len: usize| device.upload("junk", &vec![JUNK; len]).expect("room");
         Self {
             anchors: DeviceAnchors::upload(device, &case.anchors, &[]).expect("anchors"),
-            quantised: QuantisedRows::upload(device, shape, &case.steps).expect("room"),
+            quantized: QuantizedRows::upload(device, shape, &case.steps).expect("room"),
             list: device.upload("list", &list).expect("room"),
             count,
             d_outputs: junk(outputs.len()),
@@ -195,17 +195,17 @@ impl OnDevice {
     }
 
     /// Rendering's way back, then the rate.
-    pub(super) fn run(&self, device: &Device, quantisation: &Quantisation) {
+    pub(super) fn run(&self, device: &Device, quantization: &Quantization) {
         let mut recorder = device.recorder("rate");
-        self.quantised
-            .record_backward(&mut recorder, &self.anchors, quantisation, &self.d_rows)
+        self.quantized
+            .record_backward(&mut recorder, &self.anchors, quantization, &self.d_rows)
             .expect("recorded");
         let outputs =
             SampleOutputs { values: &self.outputs, gradients: &self.d_outputs, first_rows: self.first_rows };
         let inputs = RateInputs {
             anchors: &self.anchors,
-            quantised: &self.quantised,
-            quantisation,
+            quantized: &self.quantized,
+            quantization,
             sample: self.sample(),
             outputs,
             lambda: LAMBDA,

@@ -2,12 +2,12 @@
 
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
-use tcgs::{domain::AttributeGroup, train::context::QuantisationPhase};
+use tcgs::{domain::AttributeGroup, train::context::QuantizationPhase};
 
-use super::scene::{Case, OnDevice, SMALL, columns, quantisation};
+use super::scene::{Case, OnDevice, SMALL, columns, quantization};
 use crate::support::gpu::gpu;
 
-const PHASES: [QuantisationPhase; 2] = [QuantisationPhase::Noise, QuantisationPhase::Rounded];
+const PHASES: [QuantizationPhase; 2] = [QuantizationPhase::Noise, QuantizationPhase::Rounded];
 
 /// Everything that the device wrote: by group the gradients of outputs, rows' gradients, bits, steps.
 struct Found {
@@ -17,15 +17,15 @@ struct Found {
     steps: Vec<f32>,
 }
 
-fn found(case: &Case, phase: QuantisationPhase) -> Found {
+fn found(case: &Case, phase: QuantizationPhase) -> Found {
     let device = gpu();
     let uploaded = OnDevice::upload(&device, case, &vec![0.0; case.anchors.values.len()]);
-    uploaded.run(&device, &quantisation(phase));
+    uploaded.run(&device, &quantization(phase));
     Found {
         outputs: [0, 1, 2].map(|group| uploaded.output_gradients(&device, group)),
         rows: device.read(&uploaded.d_rows).expect("read"),
         bits: uploaded.bits(&device),
-        steps: device.read(uploaded.quantised.steps()).expect("read"),
+        steps: device.read(uploaded.quantized.steps()).expect("read"),
     }
 }
 

@@ -4,29 +4,29 @@ use tcgs::{
     domain::AttributeGroup,
     model::Shape,
     train::{
-        context::QuantisationPhase,
+        context::QuantizationPhase,
         twin::{
-            RateGradients, RateInput, quantise_gradient, rate, refresh_quant_steps, sum_bits, symbol_bits,
+            RateGradients, RateInput, quantize_gradient, rate, refresh_quant_steps, sum_bits, symbol_bits,
         },
     },
 };
 
 use super::scene::{
-    BASE_STEPS, Case, JUNK, LAMBDA, OnDevice, SMALL, USUAL, columns, f64s, quantisation, random_gradients,
+    BASE_STEPS, Case, JUNK, LAMBDA, OnDevice, SMALL, USUAL, columns, f64s, quantization, random_gradients,
     rounded_octaves,
 };
 use crate::support::{gpu::gpu, oracle::relative_l2};
 
-const PHASES: [QuantisationPhase; 2] = [QuantisationPhase::Noise, QuantisationPhase::Rounded];
+const PHASES: [QuantizationPhase; 2] = [QuantizationPhase::Noise, QuantizationPhase::Rounded];
 
 /// A value of 400 steps is known to 3e-5 of a step in f32, which is 3e-4 of the finest standard deviation; most are finer.
 const BOUND: f64 = 1e-4;
 
 /// The twin on a group of one anchor.
-fn on_twin(phase: QuantisationPhase, shape: Shape, input: RateInput<'_>) -> RateGradients {
+fn on_twin(phase: QuantizationPhase, shape: Shape, input: RateInput<'_>) -> RateGradients {
     let columns = columns(shape);
     let (first, end) = (columns[input.group as usize], columns[input.group as usize + 1]);
-    rate(&quantisation(phase), &RateInput { first, row: &input.row[first..end], ..input })
+    rate(&quantization(phase), &RateInput { first, row: &input.row[first..end], ..input })
 }
 
 /// One channel of the first group of anchor 0.
@@ -48,7 +48,7 @@ fn the_twins_gradient_is_that_of_its_bits() {
             let outputs = f64s(&case.outputs[group as usize][place]);
             let of = |row: &[f64], outputs: &[f64]| {
                 let input = RateInput { anchor: anchor as u32, group, mask, ..channel(row, outputs, 0.0) };
-                on_twin(QuantisationPhase::Noise, SMALL, input)
+                on_twin(QuantizationPhase::Noise, SMALL, input)
             };
             let total = |row: &[f64], outputs: &[f64]| -> f64 { of(row, outputs).bits.iter().sum() };
             let found = of(&row, &outputs);
@@ -101,9 +101,9 @@ fn the_twins_gradient_is_that_of_its_bits() {
 #[test]
 fn beyond_the_coded_deviations_only_what_leads_back_passes() {
     // One channel, a step of one; value and mean apart or together, the deviation below, inside and above the bounds.
-    let by = tcgs::train::context::Quantisation {
+    let by = tcgs::train::context::Quantization {
         base_quant_steps: [1.0; 3],
-        ..quantisation(QuantisationPhase::Rounded)
+        ..quantization(QuantizationPhase::Rounded)
     };
     let by_scale =
         |apart: f64, octaves: f64| rate(&by, &channel(&[apart], &[0.0, octaves, 0.0], 0.0)).outputs[1];
@@ -119,9 +119,9 @@ fn beyond_the_coded_deviations_only_what_leads_back_passes() {
 
 #[test]
 fn what_is_far_out_is_stored_as_an_escape_and_pulled_back_all_the_same() {
-    let by = tcgs::train::context::Quantisation {
+    let by = tcgs::train::context::Quantization {
         base_quant_steps: [1.0; 3],
-        ..quantisation(QuantisationPhase::Rounded)
+        ..quantization(QuantizationPhase::Rounded)
     };
     let at = |value: f64| rate(&by, &channel(&[value], &[0.0; 3], 0.0));
     let near = at(4.0);
@@ -142,7 +142,7 @@ fn the_bits_of_the_last_sample_outlast_a_change_of_room() {
     let device = gpu();
     let case = Case::random(46, SMALL, COUNT, COUNT);
     let uploaded = OnDevice::upload(&device, &case, &random_gradients(47, COUNT * SMALL.row()));
-    uploaded.run(&device, &quantisation(QuantisationPhase::Noise));
+    uploaded.run(&device, &quantization(QuantizationPhase::Noise));
     let before = uploaded.rate.sums(&device).expect("read");
     assert!(before.iter().all(|bits| *bits > 0.0), "{before:?}");
     let roomier = uploaded.rate.with_capacity(&device, 500).expect("room");
@@ -154,7 +154,7 @@ fn the_bits_of_the_last_sample_outlast_a_change_of_room() {
 fn a_stray_anchor_does_not_decide_what_a_scene_is_said_to_take() {
     const COUNT: usize = 40;
     let device = gpu();
-    let by = quantisation(QuantisationPhase::Rounded);
+    let by = quantization(QuantizationPhase::Rounded);
     let mut case = Case::random(44, SMALL, COUNT, COUNT);
     let sums = |case: &Case| {
         let uploaded = OnDevice::upload(&device, case, &random_gradients(45, COUNT * SMALL.row()));
@@ -191,7 +191,7 @@ fn rounded_bits_are_those_of_the_decoders_numbers() {
         for group in AttributeGroup::ALL {
             let outputs = f64s(&case.outputs[group as usize][place]);
             let found = on_twin(
-                QuantisationPhase::Rounded,
+                QuantizationPhase::Rounded,
                 SMALL,
                 RateInput { anchor: anchor as u32, group, mask: u32::MAX, ..channel(&row, &outputs, 0.0) },
             );
@@ -199,7 +199,7 @@ fn rounded_bits_are_those_of_the_decoders_numbers() {
             let octaves = rounded_octaves(outputs[2 * channels]);
             let step = f64::from(BASE_STEPS[group as usize]) * octaves.exp2();
             let refreshed =
-                refresh_quant_steps(&quantisation(QuantisationPhase::Rounded), group, outputs[2 * channels]);
+                refresh_quant_steps(&quantization(QuantizationPhase::Rounded), group, outputs[2 * channels]);
             assert!((refreshed - step).abs() < 1e-12 * step);
             for channel in 0..channels {
                 let value = row[columns(SMALL)[group as usize] + channel];
@@ -218,12 +218,12 @@ fn rounded_bits_are_those_of_the_decoders_numbers() {
     }
 }
 
-fn check_against_twin(shape: Shape, count: usize, sampled: usize, phase: QuantisationPhase) {
+fn check_against_twin(shape: Shape, count: usize, sampled: usize, phase: QuantizationPhase) {
     let device = gpu();
     let case = Case::random((count + sampled) as u64, shape, count, sampled);
     let d_rendered = random_gradients(31, count * shape.row());
     let uploaded = OnDevice::upload(&device, &case, &d_rendered);
-    let by = quantisation(phase);
+    let by = quantization(phase);
     uploaded.run(&device, &by);
 
     let weight = LAMBDA / (sampled * shape.row()) as f64;
@@ -234,7 +234,7 @@ fn check_against_twin(shape: Shape, count: usize, sampled: usize, phase: Quantis
         let d = f64s(&d_rendered[anchor * shape.row()..][..shape.row()]);
         let row = f64s(case.anchors.row(anchor));
         let (mask, steps) = (case.anchors.masks[anchor], case.own_steps(anchor));
-        let (d_row, by_steps) = quantise_gradient(shape, &by, anchor as u32, &row, mask, steps, &d);
+        let (d_row, by_steps) = quantize_gradient(shape, &by, anchor as u32, &row, mask, steps, &d);
         d_rows.extend(d_row);
         d_log_steps.push(by_steps);
     }
@@ -288,7 +288,7 @@ fn check_against_twin(shape: Shape, count: usize, sampled: usize, phase: Quantis
     let found = device.read(&uploaded.d_rows).expect("read");
     let error = relative_l2(&f64s(&found), &d_rows);
     assert!(error < BOUND, "{shape:?} {phase:?}: gradients of rows: {error:e}");
-    let found = device.read(uploaded.quantised.steps()).expect("read");
+    let found = device.read(uploaded.quantized.steps()).expect("read");
     for (i, (found, expected)) in found.iter().zip(&steps).enumerate() {
         if case.sample.contains(&(i as u32 / 3)) {
             assert!((f64::from(*found) - expected).abs() < 1e-6 * expected, "{found} {expected}");
@@ -318,7 +318,7 @@ fn a_step_that_will_be_done_again_leaves_the_steps_and_the_same_input_gives_the_
     let device = gpu();
     let case = Case::random(41, SMALL, 90, 30);
     let d_rendered = random_gradients(42, 90 * SMALL.row());
-    let by = quantisation(QuantisationPhase::Noise);
+    let by = quantization(QuantizationPhase::Noise);
     let run = |mark: u32| {
         let uploaded = OnDevice::upload(&device, &case, &d_rendered);
         device.write(&uploaded.overflow_flag, &[mark]);
@@ -326,7 +326,7 @@ fn a_step_that_will_be_done_again_leaves_the_steps_and_the_same_input_gives_the_
         let outputs = [0, 1, 2].map(|group| uploaded.output_gradients(&device, group));
         let rows: Vec<u32> =
             device.read(&uploaded.d_rows).expect("read").iter().map(|v| v.to_bits()).collect();
-        (device.read(uploaded.quantised.steps()).expect("read"), outputs, rows, uploaded.bits(&device))
+        (device.read(uploaded.quantized.steps()).expect("read"), outputs, rows, uploaded.bits(&device))
     };
     let (void, first, second) = (run(77), run(0), run(0));
     assert!(void.0 == case.steps && first.0 != case.steps);
@@ -340,8 +340,8 @@ fn what_is_not_sampled_is_left_alone() {
     let case = Case::random(43, SMALL, 20, 0);
     let d_rendered = random_gradients(44, 20 * SMALL.row());
     let uploaded = OnDevice::upload(&device, &case, &d_rendered);
-    uploaded.run(&device, &quantisation(QuantisationPhase::Noise));
+    uploaded.run(&device, &quantization(QuantizationPhase::Noise));
     assert_eq!(uploaded.rate.sums(&device).expect("read"), [0.0; 3]);
     assert!(device.read(&uploaded.d_outputs).expect("read").iter().all(|v| *v == JUNK));
-    assert_eq!(device.read(uploaded.quantised.steps()).expect("read"), case.steps);
+    assert_eq!(device.read(uploaded.quantized.steps()).expect("read"), case.steps);
 }

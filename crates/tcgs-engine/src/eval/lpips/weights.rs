@@ -14,7 +14,7 @@ use crate::domain::LpipsNetwork;
 /// The network in the bytes of a safetensors file.
 pub(super) fn read(bytes: &[u8]) -> Result<Lpips, LpipsError> {
     let tensors = SafeTensors::deserialize(bytes)?;
-    let network = recognise(&tensors)?;
+    let network = recognize(&tensors)?;
     let file = File { tensors, network };
     let stages = layout::stages(network)
         .iter()
@@ -41,7 +41,7 @@ pub(super) fn read(bytes: &[u8]) -> Result<Lpips, LpipsError> {
 }
 
 /// Tells the networks apart by their first convolution.
-fn recognise(tensors: &SafeTensors<'_>) -> Result<LpipsNetwork, LpipsError> {
+fn recognize(tensors: &SafeTensors<'_>) -> Result<LpipsNetwork, LpipsError> {
     let (tensor, view) = find(tensors, &convolution_names(0, 0, "weight"))?;
     match view.shape() {
         [64, 3, 11, 11] => Ok(LpipsNetwork::Alex),

@@ -1,8 +1,8 @@
-//! Fits spherical harmonics to colours seen from given directions: weighted least squares in f64 by the normal equations of one Gaussian,
+//! Fits spherical harmonics to colors seen from given directions: weighted least squares in f64 by the normal equations of one Gaussian,
 //! which its three channels share.
 //!
-//! A Tikhonov term on the roughness of the colour, not on its mean, regularises directions without a view: a Gaussian that was seen from
-//! one side only keeps its colour on the other.
+//! A Tikhonov term on the roughness of the color, not on its mean, regularizes directions without a view: a Gaussian that was seen from
+//! one side only keeps its color on the other.
 
 use crate::domain::{gaussians::SH_COEFFICIENTS, harmonics};
 
@@ -18,7 +18,7 @@ pub struct NormalEquations {
     functions: usize,
     /// Sums of weight times a product of two functions, the lower triangle.
     gram: [[f64; SH_COEFFICIENTS]; SH_COEFFICIENTS],
-    /// Sums of weight times function times colour.
+    /// Sums of weight times function times color.
     moments: Coefficients,
     weight: f64,
 }
@@ -35,7 +35,7 @@ impl NormalEquations {
         }
     }
 
-    /// Adds a sample: the functions' values at its direction, its colour, and how much it counts.
+    /// Adds a sample: the functions' values at its direction, its color, and how much it counts.
     pub fn add(&mut self, basis: &[f64; SH_COEFFICIENTS], color: [f64; 3], weight: f64) {
         self.weight += weight;
         for row in 0..self.functions {
@@ -49,8 +49,8 @@ impl NormalEquations {
         }
     }
 
-    /// The coefficients that minimise the weighted squared error plus `ridge` times the weight times the squared norm of
-    /// the colour's Laplacian on the sphere (`l (l + 1)` times each coefficient of degree l). Functions that the samples
+    /// The coefficients that minimize the weighted squared error plus `ridge` times the weight times the squared norm of
+    /// the color's Laplacian on the sphere (`l (l + 1)` times each coefficient of degree l). Functions that the samples
     /// do not determine get zero.
     #[must_use]
     pub fn solve(&self, ridge: f64) -> Coefficients {
@@ -122,7 +122,7 @@ mod tests {
     }
 
     #[test]
-    fn colours_of_few_bands_are_found_again() {
+    fn colors_of_few_bands_are_found_again() {
         let mut rng = rand_pcg::Pcg64::seed_from_u64(7);
         for degree in 0..=3 {
             let mut truth = [[0.0; 3]; SH_COEFFICIENTS];
@@ -187,7 +187,7 @@ mod tests {
     fn the_fit_is_that_of_a_dense_least_squares_solver() {
         let mut rng = rand_pcg::Pcg64::seed_from_u64(3);
         for (degree, ridge) in [(1, 0.0), (3, 0.0), (2, 1e-3), (3, 1e-4), (3, 0.1)] {
-            // Colours that no band holds, seen from one half of the sphere only.
+            // Colors that no band holds, seen from one half of the sphere only.
             let samples: Vec<_> = directions(60, u64::from(degree) + 10)
                 .into_iter()
                 .map(|d| DVec3::new(d.x, d.y, d.z.abs()))
@@ -202,7 +202,7 @@ mod tests {
     }
 
     #[test]
-    fn a_colour_seen_from_one_side_is_kept_on_the_other() {
+    fn a_color_seen_from_one_side_is_kept_on_the_other() {
         let samples: Vec<_> = directions(5, 1)
             .into_iter()
             .map(|d| (DVec3::new(0.1 * d.x, 0.1 * d.y, 1.0).normalize(), [0.3, -0.2, 0.1], 1.0))

@@ -1,6 +1,6 @@
-//! Bakes anchors and networks into plain Gaussians, of which only the colour depends on the view.
+//! Bakes anchors and networks into plain Gaussians, of which only the color depends on the view.
 //!
-//! In this model opacity, size, rotation and colour of a Gaussian all depend on the view (METHOD.md §2.2, §2.3). Plain Gaussians have
+//! In this model opacity, size, rotation and color of a Gaussian all depend on the view (METHOD.md §2.2, §2.3). Plain Gaussians have
 //! one opacity, size and rotation, so each Gaussian is evaluated from the given cameras and reduced:
 //!
 //! - **opacity**: the mean over the views that show it, weighted by the transmittance in front of it (`occlusion`); views in which the
@@ -8,7 +8,7 @@
 //!   side: most of the loss.
 //! - **size**: the mean of its logarithms, weighted by opacity and transmittance in each view;
 //! - **rotation**: the mean of the quaternions, signs aligned, weighted alike;
-//! - **colour**: spherical harmonics by weighted least squares (`fit`), at the directions from each camera to the mean.
+//! - **color**: spherical harmonics by weighted least squares (`fit`), at the directions from each camera to the mean.
 //!
 //! Gaussians that no view shows with an opacity of 1/255 are dropped. The same scene and cameras give the same bits with any number of
 //! threads.
@@ -54,7 +54,7 @@ const MIN_SIZE: f64 = 1e-30;
 pub struct BakeSettings {
     /// Highest degree of the spherical harmonics, 0 to 3.
     pub degree: u8,
-    /// Weight of the colour's roughness against the squared error ([`NormalEquations::solve`]).
+    /// Weight of the color's roughness against the squared error ([`NormalEquations::solve`]).
     pub ridge: f64,
 }
 
@@ -330,7 +330,7 @@ impl AnchorSampler<'_> {
             log_scale += opacity * scale.max(DVec3::splat(MIN_SIZE)).map(f64::ln);
             add_rotation(&mut quat, [3, 4, 5, 6].map(|row| at(covariance, row)), opacity);
             let direction = (mean - self.bake_views[*view].center).normalize_or(DVec3::Z);
-            // A colour is a half plus its harmonics.
+            // A color is a half plus its harmonics.
             let rgb = [0, 1, 2].map(|channel| logistic(at(color, channel)) - 0.5);
             normal.add(&harmonics::basis(direction), rgb, opacity);
         }

@@ -78,7 +78,7 @@ fn a_scene_that_looks_the_same_from_everywhere_is_baked_exactly() {
 }
 
 #[test]
-fn a_colour_that_turns_with_the_view_is_met_to_a_percent() {
+fn a_color_that_turns_with_the_view_is_met_to_a_percent() {
     let mut scene = scene();
     scene.networks.color =
         network(&[0.0, 0.2, -0.5, 0.0, 0.0, 0.0], &[(0, 0, 1.5), (1, 2, -1.0), (2, 1, 0.7)]);
@@ -111,7 +111,7 @@ fn opacity_is_the_mean_over_the_views_that_show_it() {
     assert_eq!(baked.unseen, 1, "the second is born nowhere");
     let opacity = logistic(f64::from(baked.scene.opacity_logits[0]));
     assert!((opacity - 0.5).abs() < 0.05, "{opacity}");
-    // Views without the Gaussian do not contribute to its colour.
+    // Views without the Gaussian do not contribute to its color.
     scene.networks.color = network(&[0.0; 6], &[(0, 0, 40.0)]);
     let red =
         bake(&scene, &cameras(), BakeSettings { degree: 0, ridge: 0.0 }).expect("bakes").scene.sh[0][0][0];

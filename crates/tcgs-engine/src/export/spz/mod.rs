@@ -9,7 +9,7 @@
 //!            unpacked length; before version 4 `arrays` is zero
 //! positions  [count][3]  i24, in units of 2^-fractional bits
 //! opacities  [count]     u8,  opacity * 255
-//! colours    [count][3]  u8,  constant coefficient * 0.15 * 255 + 127.5
+//! colors    [count][3]  u8,  constant coefficient * 0.15 * 255 + 127.5
 //! scales     [count][3]  u8,  (log-scale + 10) * 16
 //! rotations  [count]     u32, the index of the largest of x, y, z, w in two bits, then the others in ten: sign, magnitude
 //!                        in units of sqrt(1/2) / 511 (version 2: x, y, z in a byte each)
@@ -24,7 +24,7 @@
 //!
 //! **What rounding costs**: at most half a position unit (this program takes 2^-12 world units, or finer where Gaussians
 //! are small, see [`Packed::fractional_bits`]), 1/32 of a logarithm in scale (3 %), 0.0014 in a quaternion's components,
-//! 1/510 in opacity, 0.0037 in a colour, and 1/32 or 1/16 in a coefficient above the constant one: these are where the
+//! 1/510 in opacity, 0.0037 in a color, and 1/32 or 1/16 in a coefficient above the constant one: these are where the
 //! loss is. Values out of range are held at its ends and counted.
 
 mod container;

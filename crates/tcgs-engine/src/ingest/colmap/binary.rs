@@ -17,7 +17,7 @@ const MIN_CAMERA_BYTES: usize = 4 + 4 + 8 + 8 + MIN_PARAMETERS * 8;
 pub(super) const MIN_IMAGE_BYTES: usize = 4 + 7 * 8 + 4 + 1 + 8;
 /// x, y and the point's id.
 const OBSERVATION: usize = 24;
-/// id, position, colour, error and an empty track.
+/// id, position, color, error and an empty track.
 const MIN_POINT_BYTES: usize = 8 + 24 + 3 + 8 + 8;
 /// Image id and index.
 const TRACK_ELEMENT: usize = 8;

@@ -1,6 +1,6 @@
 //! COLMAP models: `cameras`, `images` and `points3D`, binary or text, with the photographs under `images/`.
 //!
-//! Poses are world-to-camera quaternions in OpenCV axes and pixel centres are at +0.5, which is what the domain
+//! Poses are world-to-camera quaternions in OpenCV axes and pixel centers are at +0.5, which is what the domain
 //! uses, so nothing is converted. Rig and frame tables of newer versions are not needed and not read.
 
 mod binary;

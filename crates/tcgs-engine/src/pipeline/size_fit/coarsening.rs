@@ -1,6 +1,6 @@
 //! The order in which attribute groups become coarser: always the one whose next byte saved costs the least squared error.
 
-/// Size and error of the file with one group at this level of its quantisation steps and the other groups at their finest.
+/// Size and error of the file with one group at this level of its quantization steps and the other groups at their finest.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct QuantLevel {
     /// Bytes of the file.
@@ -73,7 +73,7 @@ mod tests {
     }
 
     #[test]
-    fn a_level_above_the_line_between_its_neighbours_is_skipped() {
+    fn a_level_above_the_line_between_its_neighbors_is_skipped() {
         let a = levels(&[(1000, 0.0), (990, 5.0), (900, 6.0), (905, 7.0)]);
         let order: Vec<[usize; 3]> =
             coarsening_path([&a, &[], &[]]).iter().map(|point| point.levels).collect();

@@ -9,7 +9,7 @@ use crate::{
     eval::RemovalCosts,
 };
 
-/// Smallest standard deviation of a channel, in quantisation steps, that its table can follow.
+/// Smallest standard deviation of a channel, in quantization steps, that its table can follow.
 const MIN_DEVIATION: f64 = 0.25;
 
 /// A Gaussian that may be dropped.

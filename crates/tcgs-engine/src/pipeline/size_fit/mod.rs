@@ -1,6 +1,6 @@
 //! The target size `max_bytes`: of all files of a trained scene within it, the one with the best quality.
 //!
-//! Coarser quantisation steps and fewer Gaussians make a file smaller. The order in which steps become coarser is measured by
+//! Coarser quantization steps and fewer Gaussians make a file smaller. The order in which steps become coarser is measured by
 //! encoding and rendering each attribute group at every level of its steps ([`coarsening`]); the order in which Gaussians are
 //! dropped follows their importance to the training views per byte ([`importance`]). A search over real files finds the balance
 //! between the two ([`size_search`]), and the bytes that it leaves unused go to finer steps again, of a group or of the most important
@@ -48,7 +48,7 @@ pub(super) struct SizeFit<'a> {
     pub(super) device: &'a Arc<Device>,
     /// The trained scene.
     pub(super) scene: &'a AnchorScene,
-    /// Its quantisation steps without a target size: features, scalings in world units, offsets.
+    /// Its quantization steps without a target size: features, scalings in world units, offsets.
     pub(super) steps: [f32; 3],
     /// Training views that the quality of files is measured on.
     pub(super) quality_views: &'a [&'a Frame],
@@ -131,7 +131,7 @@ pub(super) fn fit_size(
     }
 }
 
-/// Number of colour samples of the views, which turns a sum of squared errors into a mean.
+/// Number of color samples of the views, which turns a sum of squared errors into a mean.
 fn samples(frames: &[&Frame]) -> f64 {
     let samples = |frame: &&Frame| {
         let size = &frame.camera.intrinsics;

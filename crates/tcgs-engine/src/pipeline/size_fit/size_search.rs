@@ -14,7 +14,7 @@ pub(super) const FINAL_SLACK: f64 = 0.001;
 const TRIES: usize = 7;
 /// The same for the chosen point.
 pub(super) const FINAL_TRIES: usize = 14;
-/// Distance of the first neighbours, in points of the path.
+/// Distance of the first neighbors, in points of the path.
 const FIRST_STRIDE: usize = 4;
 
 /// A file that can be tried.
@@ -60,9 +60,9 @@ pub(super) fn search<T: Trials>(
     }
     let mut stride = FIRST_STRIDE;
     while stride > 0 {
-        let neighbours = [best + stride, best.wrapping_sub(stride)];
+        let neighbors = [best + stride, best.wrapping_sub(stride)];
         let mut moved = false;
-        for point in neighbours.into_iter().filter(|point| *point < points) {
+        for point in neighbors.into_iter().filter(|point| *point < points) {
             let quality = search.quality(point)?;
             // If nothing fits at either, go on to the coarser.
             let is_better = quality > best_quality || (best_quality == f64::NEG_INFINITY && point > best);

@@ -31,7 +31,7 @@ const BYTES_PER_MASK: f64 = 0.065;
 const BYTES_PER_PARAMETER: f64 = 0.85;
 const OTHER_BYTES: f64 = 600.0;
 
-/// Anchors and networks with the state of their optimiser and of growth.
+/// Anchors and networks with the state of their optimizer and of growth.
 pub(super) struct AnchorTrainer {
     device: Arc<Device>,
     schedule: Schedule,
@@ -51,7 +51,7 @@ pub(super) struct AnchorTrainer {
     masks: Option<OffsetMasks>,
     /// None for the baseline.
     compression: Option<Compression>,
-    /// The quantised anchors of the last forward pass, if it rendered those.
+    /// The quantized anchors of the last forward pass, if it rendered those.
     shown: Option<DeviceAnchors>,
     /// Whether `neural` has rendered a view.
     rendered: bool,
@@ -90,7 +90,7 @@ fn warn_of_lattice(lattice: &Lattice, points: &[[f32; 3]], rule: VoxelRule) {
 }
 
 impl AnchorTrainer {
-    /// A trainer with anchors at the cloud's points and newly initialised networks; `extent` is the scene's, in units of its frame.
+    /// A trainer with anchors at the cloud's points and newly initialized networks; `extent` is the scene's, in units of its frame.
     pub(super) fn new(
         device: &Arc<Device>,
         schedule: Schedule,
@@ -316,7 +316,7 @@ impl ModelTrainer for AnchorTrainer {
             recorder.stage("context model");
             compression.backward(recorder, &self.adam, &self.device_anchors, step, d_rows, overflow_flag)?;
         }
-        recorder.stage("optimiser");
+        recorder.stage("optimizer");
         let rows = recorder.uniform(&self.row_learning_rates(step.fraction))?;
         let networks = recorder.uniform(&self.network_learning_rates(step.fraction))?;
         let (adam, anchors, gradients) = (&self.adam, &self.device_anchors, &self.gradients);

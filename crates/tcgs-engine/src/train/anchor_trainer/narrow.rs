@@ -17,7 +17,7 @@ use crate::{
 
 impl AnchorTrainer {
     /// Changes features to the basis that pictures and anchors suggest, and drops channels and offset slots that no picture needs
-    /// (METHOD.md §4.12), if the model has quantisation steps already.
+    /// (METHOD.md §4.12), if the model has quantization steps already.
     pub(super) fn narrow(&mut self, step: u32, views: &mut Views<'_>) -> Result<()> {
         let (state, statistics) = self.read()?;
         let Some(basis) = self.feature_basis(&state.anchors, views)? else { return Ok(()) };

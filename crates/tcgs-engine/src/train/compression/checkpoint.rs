@@ -30,7 +30,7 @@ impl Compression {
         let sizes =
             [config.kind as usize, edge, channels, layers, hidden, latents].into_iter().chain(config.hidden);
         state.put("context.sizes", sizes.map(|size| size as u32).collect());
-        state.put("context.centre", context_model.frame.centre.to_vec());
+        state.put("context.centre", context_model.frame.center.to_vec());
         state.put("context.half", context_model.frame.half.to_vec());
         let statistics = |values: fn(&GroupStatistics) -> &Vec<f32>| {
             context_model.statistics.iter().flat_map(|group| values(group).clone()).collect::<Vec<f32>>()
@@ -66,7 +66,7 @@ impl Compression {
         let steps = BaseQuantSteps { feature: base[0], scaling: base[1], offset: base[2] };
         let of_anchors: Vec<f32> = state.take_exactly("steps", 3 * anchors.len())?;
         positive("steps", &of_anchors)?;
-        resumed.quantise(steps, steps.in_world(anchors.lattice.voxel), &of_anchors)?;
+        resumed.quantize(steps, steps.in_world(anchors.lattice.voxel), &of_anchors)?;
         if state.has("features.share") {
             let share = state.take_exactly::<f32>("features.share", 1)?[0];
             if !(0.0..=1.0).contains(&share) {
@@ -104,10 +104,10 @@ impl Compression {
         if config.planes.edge > 256 || sizes.iter().any(|size| *size > 1024) {
             return Err(CheckpointError::array("context.sizes", "are no model's").into());
         }
-        let centre: Vec<i32> = state.take_exactly("context.centre", 3)?;
+        let center: Vec<i32> = state.take_exactly("context.centre", 3)?;
         let half: Vec<u32> = state.take_exactly("context.half", 3)?;
         let frame =
-            ContextFrame { centre: [centre[0], centre[1], centre[2]], half: [half[0], half[1], half[2]] };
+            ContextFrame { center: [center[0], center[1], center[2]], half: [half[0], half[1], half[2]] };
         let all: usize = channels.iter().sum();
         let mut split = |name: &str| -> Result<[Vec<f32>; 3], CheckpointError> {
             let mut rest: Vec<f32> = state.take_exactly(name, all)?;

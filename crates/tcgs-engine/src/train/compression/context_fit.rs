@@ -2,9 +2,9 @@
 //!
 //! A scene is trained with the largest context model; in a small scene it saves fewer bytes than its planes and networks take. So
 //! before everything is rounded, networks with the position or the anchor's own planes as their only input, and smaller planes, are
-//! fitted to the current scene: by the rate term alone, without rendering, at the quantisation steps that the anchors have. The model
+//! fitted to the current scene: by the rate term alone, without rendering, at the quantization steps that the anchors have. The model
 //! with the fewest bytes, its own included, is trained further. It is selected before the rounding, since attributes converge to
-//! multiples of their quantisation steps, which other steps would undo.
+//! multiples of their quantization steps, which other steps would undo.
 
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
@@ -31,7 +31,7 @@ use crate::{
         Adam, AdamStep, Decay, Result, SizeLimit, TrainError, TrainedContext,
         context::{
             ContextAnchors, ContextConfig, ContextLayout, ContextLearningRates, ContextNet, ContextState,
-            GroupStatistics, PlaneConfig, Quantisation, QuantisationPhase, RateInputs, RateTerm,
+            GroupStatistics, PlaneConfig, Quantization, QuantizationPhase, RateInputs, RateTerm,
             sample_anchors, sample_size,
         },
     },
@@ -80,7 +80,7 @@ pub(super) struct ContextFit<'a> {
 }
 
 impl Compression {
-    /// Replaces the context model by the selected one, for the anchors `rows`, and fits quantisation steps to `limit`, if given; does
+    /// Replaces the context model by the selected one, for the anchors `rows`, and fits quantization steps to `limit`, if given; does
     /// nothing before the context model learns.
     pub(super) fn select_context(
         &mut self,
@@ -143,7 +143,7 @@ impl Compression {
         }))
     }
 
-    /// Refreshes every anchor's quantisation steps and quantises its row with them, as the file stores it.
+    /// Refreshes every anchor's quantization steps and quantizes its row with them, as the file stores it.
     pub(super) fn final_rows(
         &mut self,
         anchors: &DeviceAnchors,
@@ -153,15 +153,15 @@ impl Compression {
         let device = &self.device;
         let (overflow_flag, d_rows) =
             (device.buffer("never set", 1)?, device.buffer("unused", anchors.rows.len())?);
-        let quantisation = rounding(quant);
+        let quantization = rounding(quant);
         let all: Vec<u32> = (0..cells.len() as u32).collect();
         for sample in all.chunks(model.rate.capacity().max(1)) {
-            let mut recorder = device.recorder("quantisation steps of the scene");
+            let mut recorder = device.recorder("quantization steps of the scene");
             model.net.forward(&mut recorder, sample, &stored_pass(false))?;
             let inputs = RateInputs {
                 anchors,
-                quantised: &quant.rows,
-                quantisation: &quantisation,
+                quantized: &quant.rows,
+                quantization: &quantization,
                 sample: sample_of(&model.net, sample.len()),
                 outputs: outputs_of(&model.net),
                 lambda: 0.0,
@@ -170,12 +170,12 @@ impl Compression {
             recorder.submit()?;
         }
         let mut recorder = device.recorder("rows of the scene");
-        quant.rows.record_forward(&mut recorder, anchors, &quantisation)?;
+        quant.rows.record_forward(&mut recorder, anchors, &quantization)?;
         recorder.submit()?;
         Ok(Some((device.read(quant.rows.rows())?, device.read(quant.rows.steps())?)))
     }
 
-    /// The context models that an encoder may select for the finished scene, whose anchors have these quantisation steps.
+    /// The context models that an encoder may select for the finished scene, whose anchors have these quantization steps.
     pub(super) fn candidates(&self, steps: &[f32]) -> Result<Option<TrainedContext>> {
         let (Some(quant), Some(context_model)) = (&self.quant, &self.context_model) else {
             return Ok(None);
@@ -210,26 +210,26 @@ pub(super) fn stored_contexts(
 ) -> (GroupNetworks, Option<PlaneContext>) {
     let networks: GroupNetworks = AttributeGroup::ALL.map(|group| Some(layout.network(values, group)));
     let none = GroupNetworks::default();
-    let (position, own, neighbours) = match layout.config.kind {
+    let (position, own, neighbors) = match layout.config.kind {
         ContextKind::Position => (networks, none.clone(), none),
         ContextKind::TriPlane => (none.clone(), networks, none),
         ContextKind::TriPlaneKnn => (none.clone(), none, networks),
     };
-    let planes = layout.stored_planes(values).map(|planes| PlaneContext { planes, own, neighbours });
+    let planes = layout.stored_planes(values).map(|planes| PlaneContext { planes, own, neighbors });
     (position, planes)
 }
 
-/// Octaves by which quantisation steps that training did not use are finer than those that it used: the error of a second rounding
+/// Octaves by which quantization steps that training did not use are finer than those that it used: the error of a second rounding
 /// adds to the first, and training has not compensated for it.
 const UNTRAINED: f32 = 0.5;
 
 /// Rounding at each anchor's own steps.
-fn rounding(quant: &QuantState) -> Quantisation {
-    Quantisation { phase: QuantisationPhase::Rounded, base_quant_steps: quant.base, key: 0 }
+fn rounding(quant: &QuantState) -> Quantization {
+    Quantization { phase: QuantizationPhase::Rounded, base_quant_steps: quant.base, key: 0 }
 }
 
 impl ContextFit<'_> {
-    /// A newly initialised model with planes of its own, fitted to the scene.
+    /// A newly initialized model with planes of its own, fitted to the scene.
     pub(super) fn fitted(&self, config: ContextConfig) -> Result<ContextNet> {
         let mut net = self.fresh(config, None)?;
         self.fit(&mut net, true, FRESH)?;
@@ -286,7 +286,7 @@ impl ContextFit<'_> {
         Ok(bytes)
     }
 
-    /// A newly initialised model, with its own planes or those of another.
+    /// A newly initialized model, with its own planes or those of another.
     fn fresh(&self, config: ContextConfig, planes: Option<(&ContextLayout, &[f32])>) -> Result<ContextNet> {
         let layout = ContextLayout::new(config)?;
         let mut rng = Pcg64::seed_from_u64(self.compression.schedule.seed);
@@ -347,8 +347,8 @@ impl ContextFit<'_> {
         self.frozen.record(recorder, *base, rows.steps(), of_sample, outputs, channels)?;
         let inputs = RateInputs {
             anchors: self.anchors,
-            quantised: rows,
-            quantisation: &rounding(self.quant),
+            quantized: rows,
+            quantization: &rounding(self.quant),
             sample: of_sample,
             outputs,
             lambda: 1.0,

@@ -1,4 +1,4 @@
-//! The quantisation and the context model of a scene in training.
+//! The quantization and the context model of a scene in training.
 
 use crate::{
     domain::ContextFrame,
@@ -6,7 +6,7 @@ use crate::{
         BaseQuantSteps,
         context::{
             AnchorSample, ContextLayout, ContextNet, ContextPass, GroupStatistics, PlaneSource,
-            QuantisedRows, RateTerm, RoundedNetworks, SampleOutputs,
+            QuantizedRows, RateTerm, RoundedNetworks, SampleOutputs,
         },
     },
 };
@@ -14,13 +14,13 @@ use crate::{
 /// Largest integers of the weights that the last stage trains on: 8 bits.
 const LEVELS: u8 = 127;
 
-/// The quantised rows and networks, from the first noise on.
+/// The quantized rows and networks, from the first noise on.
 #[derive(Debug)]
 pub(super) struct QuantState {
     pub(super) base_quant_steps: BaseQuantSteps,
     /// The same with scalings in world units.
     pub(super) base: [f32; 3],
-    pub(super) rows: QuantisedRows,
+    pub(super) rows: QuantizedRows,
     pub(super) networks: RoundedNetworks,
 }
 
@@ -40,8 +40,8 @@ pub(super) struct ContextModel {
 /// Approximate bytes of an entropy-coded weight or latent of a context model: encoders choose 4 to 6 bits for most.
 pub(super) const BYTES_PER_PARAMETER: f64 = 0.5;
 
-/// Initialises the step adjustments that a model predicts with `octaves`. The selected model gives the anchors their
-/// quantisation steps from then on; one that still had to learn them would undo what the steps have learnt.
+/// Initializes the step adjustments that a model predicts with `octaves`. The selected model gives the anchors their
+/// quantization steps from then on; one that still had to learn them would undo what the steps have learnt.
 pub(super) fn set_initial_adjustments(layout: &ContextLayout, octaves: [f32; 3], values: &mut [f32]) {
     for (head, octaves) in layout.heads.iter().zip(octaves) {
         // The last output of a group is its step adjustment.

@@ -1,6 +1,6 @@
 //! Fits context models to a finished scene, to measure what their inputs save.
 //!
-//! Invariant: each group has one quantisation step for all anchors, which no model adjusts, so an encoder codes the same symbols with
+//! Invariant: each group has one quantization step for all anchors, which no model adjusts, so an encoder codes the same symbols with
 //! every model.
 
 use std::sync::Arc;
@@ -20,13 +20,13 @@ use crate::{
 /// How models are fitted.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct ContextFitSettings {
-    /// Optimiser steps of each model.
+    /// Optimizer steps of each model.
     pub steps: u32,
     /// Seed of initial values and samples.
     pub seed: u64,
 }
 
-/// Fits a model of each of `configs` to the attributes of `scene` by their bits alone, at the quantisation steps `steps` of the
+/// Fits a model of each of `configs` to the attributes of `scene` by their bits alone, at the quantization steps `steps` of the
 /// three groups. Each of the results has one model, for [`crate::codec::encode`] with the same steps.
 ///
 /// # Errors
@@ -44,7 +44,7 @@ pub fn fit_contexts(
     let Some(schedule) = CompressionSchedule::new(&options, Schedule::new(&options).steps) else {
         return Ok(Vec::new());
     };
-    // The run's own model is not fitted, so it need not find neighbours.
+    // The run's own model is not fitted, so it need not find neighbors.
     let schedule = CompressionSchedule { kind: ContextKind::Position, ..schedule };
     let rows = AnchorRows::from_scene(scene);
     let networks = NetworkLayout::new(Shape::of(scene))
@@ -53,7 +53,7 @@ pub fn fit_contexts(
     let anchors = DeviceAnchors::upload(device, &rows, &networks)?;
     let base = steps.in_world(scene.lattice.voxel);
     let mut compression = Compression::new(device, schedule, rows.shape);
-    compression.quantise(steps, base, &base.repeat(rows.len()))?;
+    compression.quantize(steps, base, &base.repeat(rows.len()))?;
     compression.model(&rows)?;
     let adam = Adam::new(device)?;
     let Some(fit) = compression.context_fit(&adam, &anchors, &rows, settings.steps, cancel)? else {

@@ -1,4 +1,4 @@
-//! Freezes the anchors' quantisation steps while other networks are fitted to predict them.
+//! Freezes the anchors' quantization steps while other networks are fitted to predict them.
 
 use std::sync::Arc;
 

@@ -42,7 +42,7 @@ use crate::{
         TrainedContext,
         context::{
             ContextAnchors, ContextConfig, ContextLayout, ContextLearningRates, ContextNet, ContextPass,
-            ContextState, GroupStatistics, PlaneSource, Quantisation, QuantisationPhase, QuantisedRows,
+            ContextState, GroupStatistics, PlaneSource, Quantization, QuantizationPhase, QuantizedRows,
             RateInputs, RateTerm, RoundedNetworks, sample_anchors, sample_size,
         },
         model_trainer::Step,
@@ -111,21 +111,21 @@ impl Compression {
         self.feature_share = Some(f64::from(share as f32));
     }
 
-    /// The geometric mean of the anchors' quantisation steps of features; none before the first noise.
+    /// The geometric mean of the anchors' quantization steps of features; none before the first noise.
     pub(in crate::train) fn mean_feature_step(&self) -> Result<Option<f64>> {
         let Some(quant) = &self.quant else { return Ok(None) };
         let [features, ..] = mean_quant_steps(&self.device.read(quant.rows.steps())?);
         Ok(Some(f64::from(features)))
     }
 
-    /// Follows the model's change to the shape of `anchors`, in their order. Quantisation steps stay.
+    /// Follows the model's change to the shape of `anchors`, in their order. Quantization steps stay.
     pub(in crate::train) fn narrow(&mut self, narrowing: &Narrowing, anchors: &AnchorRows) -> Result<()> {
         self.layout = NetworkLayout::new(anchors.shape);
         self.feature_share = None;
         let Some(QuantState { base_quant_steps, base, rows, .. }) = &self.quant else { return Ok(()) };
         let (base_quant_steps, base) = (*base_quant_steps, *base);
         let steps = self.device.read(rows.steps())?;
-        self.quantise(base_quant_steps, base, &steps)?;
+        self.quantize(base_quant_steps, base, &steps)?;
         if let Some(old) = self.context_model.take() {
             let old_layout = old.net.layout();
             let config = ContextConfig { channels: group_channels(anchors.shape), ..old_layout.config };
@@ -141,7 +141,7 @@ impl Compression {
         Ok(())
     }
 
-    /// Prepares the stages that start after `step` for the scene `anchors`. Short runs may skip a stage. With `limit`, quantisation steps
+    /// Prepares the stages that start after `step` for the scene `anchors`. Short runs may skip a stage. With `limit`, quantization steps
     /// are fitted to it before everything is rounded.
     pub(in crate::train) fn enter_stage(
         &mut self,
@@ -159,7 +159,7 @@ impl Compression {
             let base_quant_steps = BaseQuantSteps::of(self.schedule.base, anchors);
             let base = base_quant_steps.in_world(anchors.lattice.voxel);
             let first = base.map(|step| step * (-self.schedule.base.finer_octaves()).exp2());
-            self.quantise(base_quant_steps, base, &first.repeat(anchors.len()))?;
+            self.quantize(base_quant_steps, base, &first.repeat(anchors.len()))?;
             tracing::debug!(step, ?base_quant_steps);
         }
         if next >= Stage::Context && self.context_model.is_none() {
@@ -171,7 +171,7 @@ impl Compression {
         Ok(())
     }
 
-    /// Replaces the rows of `anchors` by their quantised values and returns the encoder's input. `before` are the cells before
+    /// Replaces the rows of `anchors` by their quantized values and returns the encoder's input. `before` are the cells before
     /// pruning. Returns `None` if the run ended before the context model was trained; the rows are then unchanged.
     pub(in crate::train) fn finish(
         mut self,
@@ -191,13 +191,13 @@ impl Compression {
         self.candidates(&steps)
     }
 
-    fn quantise(
+    fn quantize(
         &mut self,
         base_quant_steps: BaseQuantSteps,
         base: [f32; 3],
         of_anchors: &[f32],
     ) -> Result<()> {
-        let rows = QuantisedRows::upload(&self.device, self.layout.shape, of_anchors)?;
+        let rows = QuantizedRows::upload(&self.device, self.layout.shape, of_anchors)?;
         let networks = RoundedNetworks::plan(&self.layout).make(&self.device)?;
         self.quant = Some(QuantState { base_quant_steps, base, rows, networks });
         Ok(())
@@ -249,7 +249,7 @@ impl Compression {
             let (base_quant_steps, base) = (*base_quant_steps, *base);
             let old = self.device.read(rows.steps())?;
             let of_anchors = carry_quant_steps(before, &old, mean_quant_steps(&old), &anchors.cells);
-            self.quantise(base_quant_steps, base, &of_anchors)?;
+            self.quantize(base_quant_steps, base, &of_anchors)?;
         }
         if let Some(mut context_model) = self.context_model.take() {
             let config = context_model.net.layout().config;
@@ -263,33 +263,33 @@ impl Compression {
         Ok(())
     }
 
-    /// The quantisation of `step`; none before the first noise.
-    fn quantisation(&self, step: u32) -> Option<Quantisation> {
+    /// The quantization of `step`; none before the first noise.
+    fn quantization(&self, step: u32) -> Option<Quantization> {
         let phase = match self.schedule.stage(step) {
             Stage::Plain => return None,
-            Stage::Noise => QuantisationPhase::FixedNoise,
-            Stage::Context => QuantisationPhase::Noise,
-            Stage::Rounded => QuantisationPhase::Rounded,
+            Stage::Noise => QuantizationPhase::FixedNoise,
+            Stage::Context => QuantizationPhase::Noise,
+            Stage::Rounded => QuantizationPhase::Rounded,
         };
         let mut base_quant_steps = self.quant.as_ref()?.base;
-        if phase == QuantisationPhase::FixedNoise {
+        if phase == QuantizationPhase::FixedNoise {
             base_quant_steps =
                 base_quant_steps.map(|step| step * (-self.schedule.base.finer_octaves()).exp2());
         }
-        Some(Quantisation { phase, base_quant_steps, key: Quantisation::key(self.schedule.seed, step) })
+        Some(Quantization { phase, base_quant_steps, key: Quantization::key(self.schedule.seed, step) })
     }
 
-    /// Records the quantised anchors that `step` renders; none if it renders them unquantised.
+    /// Records the quantized anchors that `step` renders; none if it renders them unquantized.
     pub(in crate::train) fn forward(
         &self,
         recorder: &mut Recorder<'_>,
         anchors: &DeviceAnchors,
         step: u32,
     ) -> Result<Option<DeviceAnchors>> {
-        let (Some(quant), Some(quantisation)) = (&self.quant, self.quantisation(step)) else {
+        let (Some(quant), Some(quantization)) = (&self.quant, self.quantization(step)) else {
             return Ok(None);
         };
-        quant.rows.record_forward(recorder, anchors, &quantisation)?;
+        quant.rows.record_forward(recorder, anchors, &quantization)?;
         let mut shown = quant.rows.rendered(anchors);
         if self.schedule.stage(step) == Stage::Rounded {
             quant.networks.record(recorder, &anchors.networks)?;
@@ -318,7 +318,7 @@ impl Compression {
     }
 
     /// Turns `d_rows`, the gradients by the rendered rows, into those by the anchors' rows, adds those of the rate term, and records
-    /// the context model's optimiser step.
+    /// the context model's optimizer step.
     pub(in crate::train) fn backward(
         &mut self,
         recorder: &mut Recorder<'_>,
@@ -328,18 +328,18 @@ impl Compression {
         d_rows: &Buffer<f32>,
         overflow_flag: &Buffer<u32>,
     ) -> Result<()> {
-        let Some(quantisation) = self.quantisation(step.number) else { return Ok(()) };
+        let Some(quantization) = self.quantization(step.number) else { return Ok(()) };
         let pass = self.pass(step.number);
         let Self { quant: Some(quant), context_model, schedule, .. } = self else { return Ok(()) };
-        quant.rows.record_backward(recorder, anchors, &quantisation, d_rows)?;
+        quant.rows.record_backward(recorder, anchors, &quantization, d_rows)?;
         let Some(model) = context_model else { return Ok(()) };
         let sample = sample_anchors(schedule.seed, step.number, anchors.count, schedule.sample_share);
         model.sampled = sample.len();
         model.net.forward(recorder, &sample, &pass)?;
         let inputs = RateInputs {
             anchors,
-            quantised: &quant.rows,
-            quantisation: &quantisation,
+            quantized: &quant.rows,
+            quantization: &quantization,
             sample: sample_of(&model.net, model.sampled),
             outputs: outputs_of(&model.net),
             lambda: step.lambda,
@@ -383,7 +383,7 @@ impl Compression {
     /// Mean bits of an anchor's attributes in the sample of `step`, whose `bits` are those of [`Self::sampled_bits`], and bytes of the
     /// context model; none before it learns.
     ///
-    /// Until a context model is selected, its bytes are those of the model without planes and neighbours: the selected one has more
+    /// Until a context model is selected, its bytes are those of the model without planes and neighbors: the selected one has more
     /// only if it saves them elsewhere.
     pub(in crate::train) fn bitrate(&self, step: u32, bits: &[f32]) -> Result<Option<(f64, f64)>> {
         let Some(context_model) =
@@ -411,7 +411,7 @@ pub(in crate::train) fn compression_bytes(
     let sampled = sample_size(anchors, schedule.sample_share);
     let config = config(schedule, shape, anchors);
     let net = ContextNet::bytes(&config, anchors, ContextNet::capacity(sampled)).unwrap_or(u64::MAX / 8);
-    QuantisedRows::plan(shape, anchors).bytes()
+    QuantizedRows::plan(shape, anchors).bytes()
         + RoundedNetworks::plan(&NetworkLayout::new(shape)).bytes()
         + 2 * RateTerm::plan(shape, ContextNet::capacity(sampled)).bytes()
         + 3 * net

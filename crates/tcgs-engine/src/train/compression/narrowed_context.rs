@@ -6,8 +6,8 @@
 
 use crate::train::{ContextError, context::ContextLayout, narrowing::Narrowing};
 
-/// Copies the parameters of a context model into those of the narrower one, which are newly initialised. `feature_step` is the base
-/// quantisation step of features, in which networks predict.
+/// Copies the parameters of a context model into those of the narrower one, which are newly initialized. `feature_step` is the base
+/// quantization step of features, in which networks predict.
 ///
 /// # Errors
 /// [`ContextError::Config`] if the models' planes differ.

@@ -1,4 +1,4 @@
-//! Fits the quantisation steps of a scene to a target size, before everything is rounded.
+//! Fits the quantization steps of a scene to a target size, before everything is rounded.
 //!
 //! From there on the weight of the rate hardly changes the size, and steps that become coarser do: training compensates for what they
 //! cost, which it cannot do for what is removed from the finished scene. Sizes are those of real files, since estimates know nothing
@@ -25,7 +25,7 @@ const CLOSE: f64 = 0.996;
 const CONTAINER_BYTES: u64 = 820;
 
 impl ContextFit<'_> {
-    /// Changes all anchors' quantisation steps, and what the model predicts of them, by the octaves with which the file comes closest
+    /// Changes all anchors' quantization steps, and what the model predicts of them, by the octaves with which the file comes closest
     /// to the bytes of `limit` without exceeding them; by none if it cannot be coded.
     ///
     /// # Errors
@@ -90,7 +90,7 @@ impl Attempt<'_> {
             .ok()?
             .byte_counts;
         let bytes = counts.total + CONTAINER_BYTES.saturating_sub(counts.container);
-        tracing::debug!(octaves, bytes, "a file with other quantisation steps");
+        tracing::debug!(octaves, bytes, "a file with other quantization steps");
         Some(bytes as f64)
     }
 }

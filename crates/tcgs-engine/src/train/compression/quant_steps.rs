@@ -1,4 +1,4 @@
-//! The quantisation steps of anchors across growth and pruning.
+//! The quantization steps of anchors across growth and pruning.
 
 use std::collections::HashMap;
 

@@ -1,4 +1,4 @@
-//! The context model's tables of anchors: their positions on the planes, their neighbours, and the inverse tables, by which gradients
+//! The context model's tables of anchors: their positions on the planes, their neighbors, and the inverse tables, by which gradients
 //! are gathered.
 //!
 //! Tables follow from the cells by the codec's integer arithmetic, so training samples exactly where a decoder does. The host
@@ -6,16 +6,16 @@
 
 use super::ContextConfig;
 use crate::{
-    codec::context::{Texel, coordinates, neighbours, position_inputs, texels},
+    codec::context::{Texel, coordinates, neighbors, position_inputs, texels},
     domain::{
         ContextFrame,
-        context_model::{NEIGHBOURS, POSITION_INPUTS},
+        context_model::{NEIGHBORS, POSITION_INPUTS},
     },
     gpu::{Buffer, Device, GpuError, Plan, planned},
     train::ContextError,
 };
 
-/// Largest number of anchors: an index shares a 32-bit word with a neighbour slot.
+/// Largest number of anchors: an index shares a 32-bit word with a neighbor slot.
 const MAX_ANCHORS: usize = 1 << 30;
 
 /// The tables in the kernels' layout; empty for models without planes.
@@ -28,7 +28,7 @@ pub struct ContextAnchors {
     /// `[N][3]`: the position on each plane, a byte each from the lowest: x, y, fractions along x and y in 256ths.
     pub texels: Vec<u32>,
     /// `[N][K]`: the anchors whose planes are sampled, itself first.
-    pub neighbours: Vec<u32>,
+    pub neighbors: Vec<u32>,
 }
 
 impl ContextAnchors {
@@ -51,10 +51,10 @@ impl ContextAnchors {
             .flat_map(|coordinate| texels(*coordinate, config.planes.edge))
             .map(pack)
             .collect();
-        anchors.neighbours = if sampled == 1 {
+        anchors.neighbors = if sampled == 1 {
             (0..cells.len() as u32).collect()
         } else {
-            neighbours(cells).iter().flat_map(|nearest| nearest[..sampled].to_vec()).collect()
+            neighbors(cells).iter().flat_map(|nearest| nearest[..sampled].to_vec()).collect()
         };
         anchors
     }
@@ -73,12 +73,12 @@ impl ContextAnchors {
         };
         length("values of position priors", self.priors.len(), POSITION_INPUTS)?;
         length("texels", self.texels.len(), if sampled > 0 { 3 } else { 0 })?;
-        length("neighbours", self.neighbours.len(), sampled)?;
+        length("neighbors", self.neighbors.len(), sampled)?;
         if self.count >= MAX_ANCHORS {
             return Err(ContextError::Anchors(format!("{} anchors are too many", self.count)));
         }
-        if let Some(stray) = self.neighbours.iter().find(|anchor| **anchor as usize >= self.count) {
-            return Err(ContextError::Anchors(format!("neighbour {stray} of {} anchors", self.count)));
+        if let Some(stray) = self.neighbors.iter().find(|anchor| **anchor as usize >= self.count) {
+            return Err(ContextError::Anchors(format!("neighbor {stray} of {} anchors", self.count)));
         }
         let outside = |texel: &&u32| {
             let [x, y, ..] = texel.to_le_bytes();
@@ -95,14 +95,14 @@ impl ContextAnchors {
         self.texels.len() / 3
     }
 
-    /// The inverse of the neighbour table, as offsets and lists: for each anchor, those that have it as a neighbour. An entry is
-    /// four times the other anchor's index plus the neighbour slot; entries ascend.
+    /// The inverse of the neighbor table, as offsets and lists: for each anchor, those that have it as a neighbor. An entry is
+    /// four times the other anchor's index plus the neighbor slot; entries ascend.
     #[must_use]
     pub fn users(&self) -> (Vec<u32>, Vec<u32>) {
-        let sampled = self.neighbours.len() / self.count.max(1);
-        let entries = self.neighbours.iter().enumerate().map(|(place, anchor)| {
+        let sampled = self.neighbors.len() / self.count.max(1);
+        let entries = self.neighbors.iter().enumerate().map(|(place, anchor)| {
             let (user, slot) = (place / sampled, place % sampled);
-            (*anchor as usize, (NEIGHBOURS * user + slot) as u32)
+            (*anchor as usize, (NEIGHBORS * user + slot) as u32)
         });
         lists(self.placed(), entries)
     }
@@ -166,7 +166,7 @@ pub(super) struct DeviceTables {
     pub(super) count: usize,
     pub(super) priors: Buffer<f32>,
     pub(super) texels: Buffer<u32>,
-    pub(super) neighbours: Buffer<u32>,
+    pub(super) neighbors: Buffer<u32>,
     pub(super) user_starts: Buffer<u32>,
     pub(super) users: Buffer<u32>,
     pub(super) plane_starts: Buffer<u32>,
@@ -185,7 +185,7 @@ impl DeviceTables {
             count: Plan::value(anchors),
             priors: Plan::buffer("position priors", anchors * POSITION_INPUTS),
             texels: Plan::buffer("texels of anchors", 3 * placed),
-            neighbours: Plan::buffer("neighbours", sampled * placed),
+            neighbors: Plan::buffer("neighbors", sampled * placed),
             user_starts: Plan::buffer("starts of users of anchors", placed + 1),
             users: Plan::buffer("users of anchors", sampled * placed),
             plane_starts: Plan::buffer("starts of users of texels", 3 * edge * edge + 1),
@@ -212,7 +212,7 @@ impl DeviceTables {
         let made = Self::plan(config, anchors.count, plane_users.len()).make(device)?;
         device.write(&made.priors, &anchors.priors);
         device.write(&made.texels, &anchors.texels);
-        device.write(&made.neighbours, &anchors.neighbours);
+        device.write(&made.neighbors, &anchors.neighbors);
         device.write(&made.user_starts, &user_starts);
         device.write(&made.users, &users);
         device.write(&made.plane_starts, &plane_starts);
@@ -236,7 +236,7 @@ mod tests {
     }
 
     #[test]
-    fn users_are_the_neighbours_the_other_way_round() {
+    fn users_are_the_neighbors_the_other_way_round() {
         let cells = cells();
         let anchors = ContextAnchors::new(&config(ContextKind::TriPlaneKnn), &robust_frame(&cells), &cells);
         anchors.check(&config(ContextKind::TriPlaneKnn)).expect("tables that fit");
@@ -245,7 +245,7 @@ mod tests {
         for anchor in 0..cells.len() {
             let list = &users[starts[anchor] as usize..starts[anchor + 1] as usize];
             assert!(list.windows(2).all(|pair| pair[0] < pair[1]));
-            assert!(list.iter().all(|user| anchors.neighbours[*user as usize] as usize == anchor));
+            assert!(list.iter().all(|user| anchors.neighbors[*user as usize] as usize == anchor));
         }
     }
 
@@ -280,7 +280,7 @@ mod tests {
         let anchors = ContextAnchors::new(&config, &robust_frame(&cells), &cells);
         anchors.check(&config).expect("tables that fit");
         assert_eq!(anchors.priors.len(), 18 * 60);
-        assert!(anchors.texels.is_empty() && anchors.neighbours.is_empty());
+        assert!(anchors.texels.is_empty() && anchors.neighbors.is_empty());
         assert_eq!(anchors.users(), (vec![0], Vec::new()));
     }
 
@@ -290,7 +290,7 @@ mod tests {
         let config = config(ContextKind::TriPlaneKnn);
         let good = ContextAnchors::new(&config, &robust_frame(&cells), &cells);
         let mut far = good.clone();
-        far.neighbours[7] = 60;
+        far.neighbors[7] = 60;
         let mut outside = good.clone();
         outside.texels[3] = 16;
         let mut short = good.clone();

@@ -368,12 +368,12 @@ mod tests {
 
     #[test]
     fn planes_go_over_to_a_model_of_another_kind() {
-        let (own, neighbours) = (layout(ContextKind::TriPlane), layout(ContextKind::TriPlaneKnn));
+        let (own, neighbors) = (layout(ContextKind::TriPlane), layout(ContextKind::TriPlaneKnn));
         let mut rng = Pcg64::seed_from_u64(2);
-        let from: Vec<f32> = (0..neighbours.parameters).map(|_| rng.random()).collect();
+        let from: Vec<f32> = (0..neighbors.parameters).map(|_| rng.random()).collect();
         let mut values = vec![0.0; own.parameters];
-        own.copy_planes(&mut values, &neighbours, &from).expect("equal planes");
-        assert_eq!(own.stored_planes(&values), neighbours.stored_planes(&from));
+        own.copy_planes(&mut values, &neighbors, &from).expect("equal planes");
+        assert_eq!(own.stored_planes(&values), neighbors.stored_planes(&from));
         assert!(values[..own.networks].iter().all(|value| *value == 0.0));
         let planes = own.stored_planes(&values).expect("planes");
         assert_eq!((planes.edge, planes.plane_edge(), planes.plane_channels()), (4, 16, 4));

@@ -1,5 +1,5 @@
-//! The context model in training (TC-GS II-B and II-D, METHOD.md §4.2 to §4.6): planes, neighbours, the networks
-//! that predict the distribution of an anchor's attributes, the bits that those then take, and the quantisation in between.
+//! The context model in training (TC-GS II-B and II-D, METHOD.md §4.2 to §4.6): planes, neighbors, the networks
+//! that predict the distribution of an anchor's attributes, the bits that those then take, and the quantization in between.
 //!
 //! Networks get only inputs that follow from integers which the codec has too. Every sum has a fixed order, so the same state,
 //! sample and adapter give the same bits. Parameters change in [`ContextNet::step`] and
@@ -13,7 +13,7 @@ mod layout;
 mod net;
 mod plane_sampling;
 mod planes;
-mod quantise;
+mod quantize;
 mod rate;
 mod render_networks;
 mod weights;
@@ -25,7 +25,7 @@ pub use config::{ContextConfig, PlaneConfig};
 pub use layout::{ContextLayout, ContextLearningRates, ConvSpec, GroupStatistics};
 pub use net::{ContextNet, ContextPass, ContextState};
 pub use planes::PlaneSource;
-pub(super) use quantise::pcg_hash;
-pub use quantise::{Quantisation, QuantisationPhase, QuantisedRows};
+pub(super) use quantize::pcg_hash;
+pub use quantize::{Quantization, QuantizationPhase, QuantizedRows};
 pub use rate::{AnchorSample, RateInputs, RateTerm, SampleOutputs};
 pub use render_networks::RoundedNetworks;

@@ -336,7 +336,7 @@ impl ContextNet {
         Ok(())
     }
 
-    /// Records an optimiser step with the last gradients.
+    /// Records an optimizer step with the last gradients.
     ///
     /// # Errors
     /// [`ContextError::Config`] if the statistics have another number of channels; errors of the device.

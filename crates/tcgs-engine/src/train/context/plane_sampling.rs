@@ -12,7 +12,7 @@ use crate::{
 #[derive(Debug)]
 pub(super) struct Sampling {
     context_input: Arc<Kernel>,
-    neighbour_gradient: Arc<Kernel>,
+    neighbor_gradient: Arc<Kernel>,
     plane_gradient: Arc<Kernel>,
 }
 
@@ -20,7 +20,7 @@ impl Sampling {
     pub(super) fn new(device: &Device) -> Result<Self, GpuError> {
         Ok(Self {
             context_input: device.kernel(kernel_source!("context_input"), &[])?,
-            neighbour_gradient: device.kernel(kernel_source!("neighbour_gradient"), &[])?,
+            neighbor_gradient: device.kernel(kernel_source!("neighbor_gradient"), &[])?,
             plane_gradient: device.kernel(kernel_source!("plane_gradient"), &[])?,
         })
     }
@@ -50,7 +50,7 @@ impl Sampling {
             &[
                 &uniform,
                 columns.list,
-                &tables.neighbours,
+                &tables.neighbors,
                 &tables.texels,
                 &tables.priors,
                 &planes.buffer,
@@ -75,7 +75,7 @@ impl Sampling {
         let uniform =
             recorder.uniform(&[[tables.count as u32, 3 * planes.channels as u32, capacity as u32, 0]])?;
         recorder.dispatch(
-            &self.neighbour_gradient,
+            &self.neighbor_gradient,
             &[&uniform, &tables.user_starts, &tables.users, &tables.columns, d_input, d_samples],
             tables.count.div_ceil(64) as u32,
         );

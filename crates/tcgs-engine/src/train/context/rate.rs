@@ -32,7 +32,7 @@
 
 use std::sync::Arc;
 
-use super::{Quantisation, QuantisedRows, quantise::QuantisationUniform};
+use super::{Quantization, QuantizedRows, quantize::QuantizationUniform};
 use crate::{
     domain::AttributeGroup,
     gpu::{Buffer, Device, GpuError, Kernel, Plan, Recorder, kernel_source, planned},
@@ -46,7 +46,7 @@ const GROUPS: usize = AttributeGroup::ALL.len();
 #[repr(C)]
 #[derive(Debug, Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]
 struct RateUniform {
-    quantisation: QuantisationUniform,
+    quantization: QuantizationUniform,
     group: [u32; 4],
     room: [u32; 4],
     weights: [f32; 4],
@@ -81,10 +81,10 @@ pub struct SampleOutputs<'a> {
 pub struct RateInputs<'a> {
     /// The anchors.
     pub anchors: &'a DeviceAnchors,
-    /// Their quantised rows, after [`QuantisedRows::record_backward`].
-    pub quantised: &'a QuantisedRows,
-    /// How those rows were quantised; the phase uses each anchor's own quantisation steps.
-    pub quantisation: &'a Quantisation,
+    /// Their quantized rows, after [`QuantizedRows::record_backward`].
+    pub quantized: &'a QuantizedRows,
+    /// How those rows were quantized; the phase uses each anchor's own quantization steps.
+    pub quantization: &'a Quantization,
     /// The anchors whose bits are estimated.
     pub sample: AnchorSample<'a>,
     /// What the context networks predict for them.
@@ -138,10 +138,10 @@ impl RateTerm {
         (lambda / (sampled * self.shape.row()).max(1) as f64) as f32
     }
 
-    /// Records the bits of the sample and refreshes its anchors' quantisation steps unless `overflow_flag` is set by then.
+    /// Records the bits of the sample and refreshes its anchors' quantization steps unless `overflow_flag` is set by then.
     ///
     /// The gradients are added to `d_rows`, which holds the rendering loss's gradients by the anchors' rows. The rendering loss's
-    /// gradients by the sampled quantisation steps, scaled up to all anchors, are added to those of the step adjustments.
+    /// gradients by the sampled quantization steps, scaled up to all anchors, are added to those of the step adjustments.
     pub fn record(
         &self,
         recorder: &mut Recorder<'_>,
@@ -149,7 +149,7 @@ impl RateTerm {
         d_rows: &Buffer<f32>,
         overflow_flag: &Buffer<u32>,
     ) -> Result<(), GpuError> {
-        let RateInputs { anchors, quantised, quantisation, sample, outputs, lambda } = *inputs;
+        let RateInputs { anchors, quantized, quantization, sample, outputs, lambda } = *inputs;
         let shape = self.shape;
         let columns = [0, shape.scaling_column(), shape.offset_column(), shape.row()];
         let scaled_up = anchors.count as f64 / sample.count.max(1) as f64;
@@ -157,7 +157,7 @@ impl RateTerm {
             let [first, end] = [columns[place], columns[place + 1]];
             let first_row = outputs.first_rows[place];
             RateUniform {
-                quantisation: quantisation.uniform(anchors.count),
+                quantization: quantization.uniform(anchors.count),
                 group: [first as u32, (end - first) as u32, place as u32, first_row as u32],
                 room: [sample.capacity as u32, self.capacity as u32, 0, 0],
                 weights: [self.weight(lambda, sample.count), scaled_up as f32, 0.0, 0.0],
@@ -173,7 +173,7 @@ impl RateTerm {
                 &anchors.rows,
                 &anchors.masks,
                 outputs.values,
-                quantised.log_quant_step_gradients(),
+                quantized.log_quant_step_gradients(),
                 outputs.gradients,
                 d_rows,
                 &self.bits,
@@ -182,7 +182,7 @@ impl RateTerm {
         );
         recorder.dispatch(
             &self.refresh_quant_steps,
-            &[&settings, sample.list, outputs.values, overflow_flag, quantised.steps()],
+            &[&settings, sample.list, outputs.values, overflow_flag, quantized.steps()],
             workgroups,
         );
         let room = recorder.uniform(&[[self.capacity as u32, 0, 0, 0]])?;

@@ -119,7 +119,7 @@ fn grow(
         keep_largest_gradients(&mut wanted, settings.max_anchors.saturating_sub(state.anchors.len()));
         let log_scale = (factor as f32 * state.anchors.lattice.voxel).ln();
         for (cell, Candidates { parents, .. }) in wanted {
-            // A coarse cell may be centred beyond the last lattice cell; clamped to it, it still rounds to itself.
+            // A coarse cell may be centered beyond the last lattice cell; clamped to it, it still rounds to itself.
             let cell = cell.map(|c| (c * factor).clamp(-MAX_CELL, MAX_CELL));
             push_anchor(state, cell, &parents, log_scale);
             added += 1;

@@ -1,5 +1,5 @@
-//! Plain Gaussians in training: the published baseline of 3D Gaussian splatting, with the losses, the rasteriser and the
-//! optimiser of the other models.
+//! Plain Gaussians in training: the published baseline of 3D Gaussian splatting, with the losses, the rasterizer and the
+//! optimizer of the other models.
 
 mod grow;
 
@@ -33,7 +33,7 @@ fn band_name(rows: &str, band: usize) -> String {
     format!("{rows}.band{}", band + 1)
 }
 
-/// Gaussians with the state of their optimiser and of growth.
+/// Gaussians with the state of their optimizer and of growth.
 pub(super) struct PlainTrainer {
     device: Arc<Device>,
     schedule: PlainSchedule,
@@ -139,7 +139,7 @@ impl PlainTrainer {
         rates
     }
 
-    /// Records the optimiser's step on the base values and on the bands in use.
+    /// Records the optimizer's step on the base values and on the bands in use.
     fn learn(&self, recorder: &mut Recorder<'_>, step: &Step, overflow_flag: &Buffer<u32>) -> Result<()> {
         let learning_rates = recorder.uniform(&self.base_learning_rates(step.fraction))?;
         let adam_step = AdamStep { number: step.number, overflow_flag };
@@ -220,7 +220,7 @@ impl ModelTrainer for PlainTrainer {
         if self.schedule.gathers_statistics(step.number) {
             self.plain.statistics(recorder, &self.statistics, overflow_flag)?;
         }
-        recorder.stage("optimiser");
+        recorder.stage("optimizer");
         self.learn(recorder, step, overflow_flag)
     }
 

@@ -32,24 +32,24 @@ pub(super) const fn default_lambda(preset: Preset) -> f64 {
 /// about 1 kB.
 const MIN_STEPS_FOR_LAYERS: u32 = 30_000;
 
-/// Base quantisation steps of short runs.
+/// Base quantization steps of short runs.
 const SHORT: BaseQuantStepRule =
     BaseQuantStepRule::Relative { feature: 0.25, scaling: 0.25, offset: 0.1, finer_octaves: 2.0 };
 
 /// The form in which attributes are rendered, and what the rate term does.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Stage {
-    /// Attributes without quantisation.
+    /// Attributes without quantization.
     Plain,
-    /// Attributes with uniform noise as wide as the base quantisation steps.
+    /// Attributes with uniform noise as wide as the base quantization steps.
     Noise,
-    /// The context model and each anchor's own quantisation steps learn; the rate term is part of the loss.
+    /// The context model and each anchor's own quantization steps learn; the rate term is part of the loss.
     Context,
     /// As decoded: attributes, the networks' weights and the planes' latents are rounded to the values that a file stores.
     Rounded,
 }
 
-/// How the base quantisation steps of the attribute groups are chosen.
+/// How the base quantization steps of the attribute groups are chosen.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum BaseQuantStepRule {
     /// 1 for features, 0.001 world units for scalings, 0.2 for offsets (METHOD.md §4.2).
@@ -95,7 +95,7 @@ pub struct CompressionSchedule {
     pub steps: u32,
     /// The run's pace along the schedule, which the steps above already follow.
     pub pace: Pace,
-    /// How base quantisation steps are chosen.
+    /// How base quantization steps are chosen.
     pub base: BaseQuantStepRule,
     /// Weight of the bits per element in the loss.
     pub lambda: f64,

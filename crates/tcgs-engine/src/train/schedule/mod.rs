@@ -176,7 +176,7 @@ pub struct Schedule {
     pub pace: Pace,
     /// Widths of the anchor model.
     pub shape: Shape,
-    /// Whether features and networks begin with the colours of a point cloud (METHOD.md §2.10); else features at 0 and networks
+    /// Whether features and networks begin with the colors of a point cloud (METHOD.md §2.10); else features at 0 and networks
     /// random, as published.
     pub begins_colored: bool,
     /// How the edge of the anchors' cells is chosen.
@@ -209,11 +209,11 @@ pub struct Schedule {
     pub feature: Decay,
     /// Of log-scalings.
     pub scaling: Decay,
-    /// Of the opacity, covariance and colour networks.
+    /// Of the opacity, covariance and color networks.
     pub networks: [Decay; 3],
     /// How networks begin whose anchors were Gaussians.
     pub passing_units: PassingUnits,
-    /// Weight of the volume regulariser, for volumes in units of the scene's frame.
+    /// Weight of the volume regularizer, for volumes in units of the scene's frame.
     pub volume_weight: f32,
     /// Offset masks; none where they are off.
     pub masks: Option<MaskSchedule>,

@@ -6,7 +6,7 @@
 //! | opacity reset | every 3 000, before 15 000 | every tenth of the run, but 600 steps apart or more |
 //! | one degree more | every 1 000 | every thirtieth of the run |
 //! | mean | 1.6e-4 to 1.6e-6 times extent, exponential | times the square root of 30 000 / steps |
-//! | constant colour, other coefficients | 0.0025, a twentieth of it | times its fourth root |
+//! | constant color, other coefficients | 0.0025, a twentieth of it | times its fourth root |
 //! | log-scale, quaternion | 0.005, 0.001 | times its fourth root |
 //! | opacity | 0.05 | the same |
 //!
@@ -49,7 +49,7 @@ pub(in crate::train) struct PlainSchedule {
     pub max_gaussians: usize,
     /// Learning rate of means, before it is multiplied by the scene's extent.
     pub mean: Decay,
-    /// Of the constant colour.
+    /// Of the constant color.
     pub color: f32,
     /// Of the other coefficients.
     pub coefficients: f32,
@@ -92,7 +92,7 @@ impl PlainSchedule {
         }
     }
 
-    /// The first stage of an anchor model: up to the step `until`, of one colour from all sides, without resets.
+    /// The first stage of an anchor model: up to the step `until`, of one color from all sides, without resets.
     pub(super) fn first_stage(self, until: u32, max_gaussians: usize) -> Self {
         Self {
             densify_until: until,

@@ -51,7 +51,7 @@ fn anchors(row: &mut Row<'_>) {
     row("**anchors** (`tcgs`, `scaffold`)", &|_| String::new());
     row("feature width, offsets an anchor", &|c| format!("{}, {}", c.shape.features, c.shape.offsets));
     row("features and networks begin with", &|c| match c.begins_colored {
-        true => "the points' colours".to_owned(),
+        true => "the points' colors".to_owned(),
         false => "0, and random".to_owned(),
     });
     row("coarsest growth cell, in lattice cells", &|c| c.coarsest_growth.to_string());
@@ -74,8 +74,8 @@ fn anchors(row: &mut Row<'_>) {
     row("learning rate of log-scalings", &|c| learning_rate(c.scaling));
     row("learning rate of the opacity network", &|c| learning_rate(c.networks[0]));
     row("learning rate of the covariance network", &|c| learning_rate(c.networks[1]));
-    row("learning rate of the colour network", &|c| learning_rate(c.networks[2]));
-    row("weight of the volume regulariser", &|c| c.volume_weight.to_string());
+    row("learning rate of the color network", &|c| learning_rate(c.networks[2]));
+    row("weight of the volume regularizer", &|c| c.volume_weight.to_string());
 }
 
 fn masks(row: &mut Row<'_>) {
@@ -99,13 +99,13 @@ fn compression(row: &mut Row<'_>) {
     let rows: [(&str, Value); 13] = [
         ("growth pauses from", |c, _| c.densify_pause.as_ref().map_or_else(String::new, |p| at(c, p.start))),
         ("growth continues from", |c, _| c.densify_pause.as_ref().map_or_else(String::new, |p| at(c, p.end))),
-        ("noise as wide as the base quantisation steps from", |c, s| at(c, s.noise_from)),
+        ("noise as wide as the base quantization steps from", |c, s| at(c, s.noise_from)),
         ("context model and rate term from", |c, s| at(c, s.context_from)),
         ("planes are reconstructed from", |c, s| {
             if s.compresses_planes { at(c, s.reconstruct_from) } else { "never, stored directly".to_owned() }
         }),
         ("everything is rounded as in the file from", |c, s| at(c, s.rounded_from)),
-        ("base quantisation steps of features, scalings, offsets", |_, s| match s.base {
+        ("base quantization steps of features, scalings, offsets", |_, s| match s.base {
             BaseQuantStepRule::Published => "1, 0.001 world units, 0.2".to_owned(),
             BaseQuantStepRule::Relative { feature, scaling, offset, .. } => {
                 format!("{feature}, {scaling} of the median, {offset}")
@@ -150,7 +150,7 @@ fn plain(row: &mut Row<'_>) {
     row("opacities are reset every", &|c| at(c, c.plain.reset_every));
     row("a degree of spherical harmonics more every", &|c| at(c, c.plain.degree_every));
     row("learning rate of means, times the extent", &|c| learning_rate(c.plain.mean));
-    row("learning rate of the constant colour", &|c| format!("{:.3e}", c.plain.color));
+    row("learning rate of the constant color", &|c| format!("{:.3e}", c.plain.color));
     row("learning rate of the other coefficients", &|c| format!("{:.3e}", c.plain.coefficients));
     row("learning rate of opacity logits", &|c| c.plain.opacity.to_string());
     row("learning rate of log-scales", &|c| format!("{:.3e}", c.plain.log_scale));

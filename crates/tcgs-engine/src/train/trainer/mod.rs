@@ -2,7 +2,7 @@
 //! between steps the model grows and is pruned.
 //!
 //! A step is one submission, and steps are submitted in batches, of which two are in flight: while the device works on one, the host
-//! records the next and then reads whether a step of the first overflowed the rasteriser's buffers. If so, the steps from there on,
+//! records the next and then reads whether a step of the first overflowed the rasterizer's buffers. If so, the steps from there on,
 //! which have changed nothing, are repeated with larger ones.
 
 use std::{borrow::Cow, collections::VecDeque, sync::Arc, time::Instant};
@@ -279,7 +279,7 @@ struct Run {
     batch: Batch,
     /// Batches that were submitted and not settled yet, the first one first.
     flights: VecDeque<Flight>,
-    /// Passes of settled batches since the rasteriser's counters were reset.
+    /// Passes of settled batches since the rasterizer's counters were reset.
     settled_passes: usize,
     /// When the last batch was settled, or the first one begun.
     paced: Instant,
@@ -629,7 +629,7 @@ impl Run {
             recorder.stage(name);
             if is_long { recorder.flush() } else { Ok(()) }
         };
-        next_stage(&mut recorder, "rasteriser forward")?;
+        next_stage(&mut recorder, "rasterizer forward")?;
         self.raster.forward(&mut recorder, self.model.gaussians(), &camera, self.background.rgb())?;
         next_stage(&mut recorder, "loss")?;
         let size = [camera.intrinsics.width, camera.intrinsics.height];
@@ -638,7 +638,7 @@ impl Run {
             self.loss.record(&mut recorder, size, self.raster.image(), &photograph, wavelet.as_ref())?;
         let gaussians = self.model.gaussians().clone();
         let d_gaussians = self.model.gaussian_gradients()?;
-        next_stage(&mut recorder, "rasteriser backward")?;
+        next_stage(&mut recorder, "rasterizer backward")?;
         self.raster.backward(&mut recorder, &gaussians, &camera, v_image, &d_gaussians)?;
         next_stage(&mut recorder, "model backward")?;
         self.model.backward(&mut recorder, &step, self.raster.overflow_flag())?;

@@ -1,4 +1,4 @@
-//! The image loss, the offset masks, the context model, the rate term and the optimiser on the CPU in f64, written plainly:
+//! The image loss, the offset masks, the context model, the rate term and the optimizer on the CPU in f64, written plainly:
 //! every kernel has a function of the same name here.
 
 pub mod context;
@@ -8,7 +8,7 @@ mod optimizer;
 
 pub use context::{
     RateGradients, RateInput, SymbolBits, freeze_quant_steps, frozen_quant_step_gradient, noise,
-    quantise_gradient, quantise_rows, rate, refresh_quant_steps, round_rows, sum_bits, symbol_bits,
+    quantize_gradient, quantize_rows, rate, refresh_quant_steps, round_rows, sum_bits, symbol_bits,
 };
 pub use loss::{
     Losses, Moments, SsimGradient, image_gradient, image_gradient_tiles, image_loss, ssim_columns, ssim_rows,

@@ -43,7 +43,7 @@ const SHARED: &[(&str, &str)] = &[
     ("model", include_str!("../../../shaders/shared/model.wgsl")),
     ("plain", include_str!("../../../shaders/shared/plain.wgsl")),
     ("gaussian", include_str!("../../../shaders/shared/gaussian.wgsl")),
-    ("quantise", include_str!("../../../shaders/shared/quantise.wgsl")),
+    ("quantize", include_str!("../../../shaders/shared/quantize.wgsl")),
     ("rate", include_str!("../../../shaders/shared/rate.wgsl")),
     ("context", include_str!("../../../shaders/shared/context.wgsl")),
     ("convolution", include_str!("../../../shaders/shared/convolution.wgsl")),

@@ -184,7 +184,7 @@ kernels! {
     }
     "context" {
         "context_input": ONE.by_variant(),
-        "neighbour_gradient": ONE,
+        "neighbor_gradient": ONE,
         "plane_gradient": ONE,
         "plane_l1": ONE,
         "round_latents": ONE,
@@ -193,8 +193,8 @@ kernels! {
         "conv_weight_gradient": ONE,
         "round_weights": ONE,
         "round_rows": ONE,
-        "quantise_rows": ONE.of_shape().by_variant(),
-        "quantise_gradient": ONE.of_shape(),
+        "quantize_rows": ONE.of_shape().by_variant(),
+        "quantize_gradient": ONE.of_shape(),
         "rate": ONE.of_shape(),
         "refresh_quant_steps": ONE,
         "sum_bits": ONE,

@@ -8,7 +8,7 @@ use crate::{Projection, model::Shape};
 /// image (METHOD.md §2.3).
 #[must_use]
 pub fn anchor_visible(projection: &Projection, position: DVec3, shape: Shape, row: &[f64]) -> bool {
-    // A constant of this test, independent of the rasteriser's settings.
+    // A constant of this test, independent of the rasterizer's settings.
     const LOW_PASS: f64 = 0.3;
     let view = projection.rotation;
     let p = view * position + projection.translation;

@@ -2,7 +2,7 @@
 
 use crate::twin::Gaussian;
 
-/// The volume regulariser: the mean product of the scales over the Gaussians (METHOD.md §2.4).
+/// The volume regularizer: the mean product of the scales over the Gaussians (METHOD.md §2.4).
 #[must_use]
 pub fn volume(gaussians: &[Option<Gaussian>]) -> f64 {
     let count = gaussians.iter().flatten().count().max(1);

@@ -1,4 +1,4 @@
-//! Colours in 8 bits.
+//! Colors in 8 bits.
 
 /// Red, green and blue of a pixel as levels from 0 to 255, halves rounded up.
 #[must_use]

@@ -1,4 +1,4 @@
-//! Depth in place of colour.
+//! Depth in place of color.
 
 use glam::DVec3;
 

@@ -5,7 +5,7 @@ use glam::DVec2;
 use crate::Projection;
 
 /// Adds one view to a Gaussian's row of statistics: sum of screen-gradient norms in half-image units, count of views,
-/// largest radius in pixels. `center` is the gradient by the projected centre; a Gaussian of no `tiles` is culled.
+/// largest radius in pixels. `center` is the gradient by the projected center; a Gaussian of no `tiles` is culled.
 pub fn gaussian_statistics(
     projection: &Projection,
     center: DVec2,

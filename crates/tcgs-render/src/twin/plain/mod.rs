@@ -1,6 +1,6 @@
 //! From the parameters of plain Gaussians to Gaussians and back, and the statistics of their growth, on the CPU in f64.
 //!
-//! Spherical harmonics as published with the method, signs included: a colour is a half plus the sum of coefficients
+//! Spherical harmonics as published with the method, signs included: a color is a half plus the sum of coefficients
 //! times basis functions of the unit vector from the camera to the mean, clamped at zero.
 
 mod gaussian_statistics;

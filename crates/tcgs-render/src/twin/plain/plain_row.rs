@@ -7,7 +7,7 @@ use crate::model::gaussian_rows::BASE;
 /// The parameters of one plain Gaussian, or the gradient by them.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PlainRow {
-    /// Mean 3, log-scales 3, quaternion 4 (w, x, y, z), opacity logit, constant colour 3.
+    /// Mean 3, log-scales 3, quaternion 4 (w, x, y, z), opacity logit, constant color 3.
     pub base: [f64; BASE],
     /// The fifteen coefficients above the constant one, by degree.
     pub sh: [DVec3; 15],

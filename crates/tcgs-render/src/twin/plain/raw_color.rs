@@ -9,7 +9,7 @@ pub(super) fn ray(projection: &Projection, row: &PlainRow) -> DVec3 {
     row.three(0) + projection.rotation.transpose() * projection.translation
 }
 
-/// The colour before it is clamped at zero.
+/// The color before it is clamped at zero.
 pub(super) fn raw_color(projection: &Projection, row: &PlainRow, degree: u32) -> DVec3 {
     let direction = ray(projection, row).normalize();
     let above = sh_basis(direction).into_iter().zip(row.sh).take(used(degree));

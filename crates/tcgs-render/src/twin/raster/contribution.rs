@@ -10,7 +10,7 @@ use crate::{
 
 /// The contribution of a splat to a pixel.
 pub(super) struct Contribution {
-    /// From the pixel's centre to the splat's.
+    /// From the pixel's center to the splat's.
     pub(super) offset: DVec2,
     /// exp(-power).
     pub(super) falloff: f64,
@@ -34,7 +34,7 @@ impl Contribution {
     }
 }
 
-/// The centre of a pixel and the list of its tile.
+/// The center of a pixel and the list of its tile.
 pub(super) fn pixel(projection: &Projection, lists: &TileLists, i: usize) -> (DVec2, std::ops::Range<usize>) {
     let (x, y) = (i as u32 % projection.size.x, i as u32 / projection.size.x);
     let [begin, end] = lists.ranges[(y / TILE * projection.tiles().x + x / TILE) as usize];

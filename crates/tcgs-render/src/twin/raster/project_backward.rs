@@ -73,7 +73,7 @@ fn quat_gradient(quat: [f64; 4], d: &DMat3) -> [f64; 4] {
     [0, 1, 2, 3].map(|i| (by_unit[i] - unit[i] * along) / norm)
 }
 
-/// By the world position, from the gradients by the Jacobian's rows in world axes and by the projected centre.
+/// By the world position, from the gradients by the Jacobian's rows in world axes and by the projected center.
 fn mean_gradient(
     projection: &Projection,
     projected: &ProjectedCovariance,

@@ -1,4 +1,4 @@
-//! Blending front to back (METHOD.md §3.2, pixel centres at +0.5).
+//! Blending front to back (METHOD.md §3.2, pixel centers at +0.5).
 
 use glam::DVec3;
 
@@ -14,7 +14,7 @@ use crate::{
 /// The blended image with what the backward pass needs.
 #[derive(Debug, Clone, Default)]
 pub struct BlendedImage {
-    /// Colour over the background, and the transmittance left; row by row.
+    /// Color over the background, and the transmittance left; row by row.
     pub image: Vec<[f64; 4]>,
     /// One more than the index in the tile's list of the last Gaussian that each pixel blended.
     pub last: Vec<u32>,

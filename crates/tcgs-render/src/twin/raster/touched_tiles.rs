@@ -4,8 +4,8 @@ use glam::DVec2;
 
 use crate::{Projection, TILE, twin::Splat};
 
-/// Whether the splat reaches the cut-off anywhere in the rectangle of pixel centres from `low` to `high`. The least power
-/// in a rectangle lies at the centre or on an edge that faces it.
+/// Whether the splat reaches the cut-off anywhere in the rectangle of pixel centers from `low` to `high`. The least power
+/// in a rectangle lies at the center or on an edge that faces it.
 #[must_use]
 pub fn touches(splat: &Splat, low: DVec2, high: DVec2) -> bool {
     let power =

@@ -66,7 +66,7 @@ fn assert_matches_twin(
     let expected: Vec<f64> = gaussians().flat_map(|g| g.quat).collect();
     assert_near("quaternions", &alive(&found.gaussians[2], 4), &expected);
     let expected: Vec<f64> = gaussians().flat_map(|g| g.color.to_array()).collect();
-    assert_near("colours", &alive(&found.gaussians[3], 3), &expected);
+    assert_near("colors", &alive(&found.gaussians[3], 3), &expected);
 
     let gradients = random_gradients(seed, spawned.gaussians.len());
     let v: Vec<GaussianGradient> = gradients.iter().map(|(v, ..)| *v).collect();

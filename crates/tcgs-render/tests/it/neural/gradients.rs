@@ -65,13 +65,13 @@ fn the_whole_chain_has_the_gradient_of_a_random_linear_loss_and_the_volume() {
         );
     }
     let share = found.rows.iter().zip(&plain.rows).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
-    assert!(share > 1e-2, "the regulariser is large enough to be seen: {share:e}");
+    assert!(share > 1e-2, "the regularizer is large enough to be seen: {share:e}");
 }
 
 #[test]
 fn a_dense_layer_has_the_gradients_of_its_forward_pass() {
     let layout = NetworkLayout::new(Shape::new(4, 2));
-    // The colour head: it reads and writes in the middle of its columns.
+    // The color head: it reads and writes in the middle of its columns.
     let layer = layout.heads[2];
     let number = |i: usize| ((i * 7919 % 1000) as f64) / 500.0 - 1.0;
     let parameters: Vec<f64> = (0..layout.parameters).map(number).collect();

@@ -56,7 +56,7 @@ fn a_trained_file_has_the_gaussians_that_its_format_says() {
                 (None, None) => {}
                 (Some(found), Some(expected)) => {
                     made += 1;
-                    // A quaternion is as good before it is normalised.
+                    // A quaternion is as good before it is normalized.
                     let length = found[7..11].iter().map(|v| v * v).sum::<f64>().sqrt();
                     for (index, expected) in expected.iter().enumerate() {
                         let scale = if (7..11).contains(&index) { length } else { 1.0 };

@@ -103,7 +103,7 @@ pub(super) fn projection(camera: &Camera) -> Projection {
     Projection::new(camera, &RasterSettings::default())
 }
 
-/// A rasteriser's output for one Gaussian: the gradients, and the tiles that it touches.
+/// A rasterizer's output for one Gaussian: the gradients, and the tiles that it touches.
 pub(super) type Said = (GaussianGradient, SplatGradient, u32);
 
 /// Random gradients by Gaussians, through f32.
@@ -131,7 +131,7 @@ pub(super) fn random_gradients(seed: u64, count: usize) -> Vec<Said> {
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Found {
     pub(super) counts: [u32; 3],
-    /// Rows of the candidates: position and opacity, scales, quaternions, colours; zero where there is no opacity.
+    /// Rows of the candidates: position and opacity, scales, quaternions, colors; zero where there is no opacity.
     pub(super) gaussians: [Vec<[f32; 4]>; 4],
     pub(super) d_rows: Vec<f32>,
     pub(super) d_networks: Vec<f32>,

@@ -62,7 +62,7 @@ fn an_anchor_is_shown_exactly_if_its_box_touches_the_image() {
 }
 
 #[test]
-fn every_anchor_whose_centre_is_in_the_image_beyond_the_near_plane_is_shown() {
+fn every_anchor_whose_center_is_in_the_image_beyond_the_near_plane_is_shown() {
     let camera = random::camera(40, 30);
     let projection = projection(&camera);
     let mut rng = Pcg64::seed_from_u64(2);
@@ -114,7 +114,7 @@ fn anchors_at_the_near_plane_or_nearer_are_not_shown() {
     // In sixteenths: the near plane of 0.2 lies between 3 and 4.
     let (scene, camera) = on_the_axis(&[-1600, -16, 0, 1, 3, 4, 16, 1600], 1.0 / 16.0);
     assert_eq!(depths_shown(&scene, &camera), [0.25, 1.0, 100.0]);
-    // Exactly on the plane: not shown, as the rasteriser would cull it too.
+    // Exactly on the plane: not shown, as the rasterizer would cull it too.
     let (scene, camera) = on_the_axis(&[1, 2], 0.2);
     assert_eq!(depths_shown(&scene, &camera), [0.4]);
 }

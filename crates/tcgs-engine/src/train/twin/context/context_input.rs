@@ -6,7 +6,7 @@ use crate::{
     train::context::{ContextAnchors, ContextConfig},
 };
 
-/// The input of one anchor: plane by plane the samples of each neighbour, then the position prior. Planes are
+/// The input of one anchor: plane by plane the samples of each neighbor, then the position prior. Planes are
 /// `[3][channels][edge][edge]`.
 #[must_use]
 pub fn context_input(
@@ -17,9 +17,9 @@ pub fn context_input(
 ) -> Vec<f64> {
     let (sampled, channels, edge) = (config.kind.sampled(), config.planes.channels, config.planes.edge);
     let mut input = Vec::with_capacity(config.inputs());
-    for neighbour in &anchors.neighbours[anchor * sampled..][..sampled] {
+    for neighbor in &anchors.neighbors[anchor * sampled..][..sampled] {
         for plane in 0..3 {
-            let corners = corners(anchors.texels[3 * *neighbour as usize + plane], edge);
+            let corners = corners(anchors.texels[3 * *neighbor as usize + plane], edge);
             for channel in 0..channels {
                 let values = &planes[(plane * channels + channel) * edge * edge..];
                 input.push(corners.iter().map(|(at, weight)| weight * values[*at]).sum());

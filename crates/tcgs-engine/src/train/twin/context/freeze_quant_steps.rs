@@ -1,4 +1,4 @@
-//! The frozen quantisation steps of anchors.
+//! The frozen quantization steps of anchors.
 
 /// The adjustment in octaves that gives `step`, and how far `predicted` is above it.
 #[must_use]

@@ -1,7 +1,7 @@
 //! The whole context model: forward from parameters to outputs, backward to every parameter.
 
 use super::{
-    context_input, conv_down, conv_up, conv_weight_gradient, neighbour_gradient, plane_gradient, plane_l1,
+    context_input, conv_down, conv_up, conv_weight_gradient, neighbor_gradient, plane_gradient, plane_l1,
     round_latents, round_weights,
 };
 use crate::{
@@ -124,7 +124,7 @@ impl ContextTwin<'_> {
                 d_input[..sampled].to_vec()
             })
             .collect();
-        let d_samples = neighbour_gradient(&layout.config, self.anchors, self.sample, &d_inputs);
+        let d_samples = neighbor_gradient(&layout.config, self.anchors, self.sample, &d_inputs);
         let d_planes = plane_gradient(&layout.config, self.anchors, &d_samples);
         self.plane_gradients(values, on, d_planes, &mut gradients);
         gradients

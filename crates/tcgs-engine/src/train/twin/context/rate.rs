@@ -3,14 +3,14 @@
 use std::f64::consts::LN_2;
 
 use super::{
-    quantiser::{Quantiser, through_floor},
+    quantizer::{Quantizer, through_floor},
     refresh_quant_steps,
     step_octaves::{SPACING, octaves_of, spacings},
     symbol_bits,
 };
 use crate::{
     domain::{AttributeGroup, context_model::STEP_OCTAVES},
-    train::context::{Quantisation, QuantisationPhase},
+    train::context::{Quantization, QuantizationPhase},
 };
 
 /// The coded standard deviations: the finest in octaves of steps, and the last of them.
@@ -52,7 +52,7 @@ pub struct RateInput<'a> {
     /// The network's outputs: each channel's mean in base steps, each channel's base-2 logarithm of the standard deviation, the
     /// step adjustment.
     pub outputs: &'a [f64],
-    /// The rendering loss's gradient by the logarithm of the quantisation step, scaled up to all anchors.
+    /// The rendering loss's gradient by the logarithm of the quantization step, scaled up to all anchors.
     pub d_log_step: f64,
     /// Weight of a bit in the loss.
     pub weight: f64,
@@ -60,14 +60,14 @@ pub struct RateInput<'a> {
 
 /// The bits of an attribute group of one anchor, and their gradients.
 #[must_use]
-pub fn rate(by: &Quantisation, input: &RateInput<'_>) -> RateGradients {
+pub fn rate(by: &Quantization, input: &RateInput<'_>) -> RateGradients {
     let RateInput { anchor, group, first, row, mask, outputs, d_log_step, weight } = *input;
     let channels = row.len();
     let wanted = outputs[2 * channels];
-    let rounds = by.phase == QuantisationPhase::Rounded;
+    let rounds = by.phase == QuantizationPhase::Rounded;
     let (octaves, index) = octaves_of(by.phase, wanted);
     let (in_base, step) = (octaves.exp2(), refresh_quant_steps(by, group, wanted));
-    let quantiser = Quantiser { by, anchor };
+    let quantizer = Quantizer { by, anchor };
     let mut found = RateGradients {
         bits: vec![0.0; channels],
         stored: vec![0.0; channels],
@@ -82,27 +82,27 @@ pub fn rate(by: &Quantisation, input: &RateInput<'_>) -> RateGradients {
         }
         let is_scaling = group == AttributeGroup::Scalings;
         let value = if is_scaling { row[channel].exp() } else { row[channel] };
-        let quantised = if is_scaling {
-            quantiser.quantise_scaling(first + channel, value, step)
+        let quantized = if is_scaling {
+            quantizer.quantize_scaling(first + channel, value, step)
         } else {
-            quantiser.quantise(first + channel, value, step)
+            quantizer.quantize(first + channel, value, step)
         };
-        let (symbol, mean) = (quantised.value / step, outputs[channel] / in_base);
+        let (symbol, mean) = (quantized.value / step, outputs[channel] / in_base);
         let scale = outputs[channels + channel];
         let unbounded = scale - octaves;
         let bounded = unbounded.clamp(FINEST, FINEST + LAST as f64 * SPACING);
-        let (coded, centre) = if rounds {
+        let (coded, center) = if rounds {
             let scale_index = (spacings(scale) + 16 - index).clamp(0, LAST);
             (FINEST + SPACING * scale_index as f64, (16.0 * mean + 0.5).floor() / 16.0)
         } else {
             (bounded, mean)
         };
-        let cost = symbol_bits(symbol, centre, coded.exp2(), 1.0);
+        let cost = symbol_bits(symbol, center, coded.exp2(), 1.0);
         found.bits[channel] = cost.bits;
-        found.stored[channel] = cost.bits.min(ESCAPE_BITS + 2.0 * (1.0 + (symbol - centre).abs()).log2());
+        found.stored[channel] = cost.bits.min(ESCAPE_BITS + 2.0 * (1.0 + (symbol - center).abs()).log2());
         let by_value = cost.by_value.clamp(-MAX_DERIVATIVE, MAX_DERIVATIVE);
         let by_coded = cost.by_log_deviation.clamp(-MAX_DERIVATIVE, MAX_DERIVATIVE);
-        let mut by_adjustment = -LN_2 * by_value * (symbol - quantised.by_width - centre);
+        let mut by_adjustment = -LN_2 * by_value * (symbol - quantized.by_width - center);
         let by_scale = if bounded == unbounded {
             by_adjustment -= by_coded;
             by_coded

@@ -1,6 +1,6 @@
-#define_import_path tcgs::quantise
+#define_import_path tcgs::quantize
 
-// Quantisation of rows in training. Scalings are quantised themselves, not the logarithms that rows hold, and are at least
+// Quantization of rows in training. Scalings are quantized themselves, not the logarithms that rows hold, and are at least
 // one step, as in a file.
 
 // Noise with the base steps, noise with each anchor's steps, the nearest multiples of each anchor's steps.
@@ -11,14 +11,14 @@ const ROUNDED: u32 = 2u;
 // Log-scalings are clamped to this magnitude, so that every scaling is a normal number.
 const LARGEST_LOG: f32 = 80.0;
 
-struct Quantisation {
+struct Quantization {
     // anchors, phase, key of the noise, unused
     shape: vec4u,
     // base steps of features, scalings, offsets, unused
     base: vec4f,
 }
 
-struct Quantised {
+struct Quantized {
     value: f32,
     // The value's derivative by the step.
     by_width: f32,
@@ -41,14 +41,14 @@ fn noise(stream: u32, column: u32) -> f32 {
     return (f32(pcg_hash(stream + column) >> 9u) + 0.5) / 8388608.0 - 0.5;
 }
 
-fn quantise(phase: u32, stream: u32, column: u32, value: f32, width: f32) -> Quantised {
+fn quantize(phase: u32, stream: u32, column: u32, value: f32, width: f32) -> Quantized {
     if phase == ROUNDED {
         let steps = value / width;
         let nearest = round(steps);
-        return Quantised(nearest * width, nearest - steps);
+        return Quantized(nearest * width, nearest - steps);
     }
     let added = noise(stream, column);
-    return Quantised(value + added * width, added);
+    return Quantized(value + added * width, added);
 }
 
 fn scaling_of(log_scaling: f32) -> f32 {
@@ -56,15 +56,15 @@ fn scaling_of(log_scaling: f32) -> f32 {
 }
 
 // A scaling below one step counts as one step, so it grows with the step and not with itself.
-fn quantise_scaling(phase: u32, stream: u32, column: u32, scaling: f32, width: f32) -> Quantised {
-    var result = quantise(phase, stream, column, max(scaling, width), width);
+fn quantize_scaling(phase: u32, stream: u32, column: u32, scaling: f32, width: f32) -> Quantized {
+    var result = quantize(phase, stream, column, max(scaling, width), width);
     if scaling < width {
         result.by_width += 1.0;
     }
     return result;
 }
 
-// The gradient by a scaling from that by its quantised value: below one step, only what increases the scaling passes.
+// The gradient by a scaling from that by its quantized value: below one step, only what increases the scaling passes.
 fn through_floor(scaling: f32, width: f32, gradient: f32) -> f32 {
     return select(gradient, min(gradient, 0.0), scaling < width);
 }

@@ -1,22 +1,22 @@
 //! Rendered rows and their way back: the twins against central differences, the kernels against the twins.
 
 use tcgs::train::{
-    context::{Quantisation, QuantisationPhase, QuantisedRows},
-    twin::{noise, quantise_gradient, quantise_rows},
+    context::{Quantization, QuantizationPhase, QuantizedRows},
+    twin::{noise, quantize_gradient, quantize_rows},
 };
 
 use super::scene::{
-    BASE_STEPS, Case, JUNK, OnDevice, SMALL, USUAL, columns, f64s, quantisation, random_gradients,
+    BASE_STEPS, Case, JUNK, OnDevice, SMALL, USUAL, columns, f64s, quantization, random_gradients,
 };
 use crate::support::{gpu::gpu, oracle::relative_l2};
 
-const PHASES: [QuantisationPhase; 3] =
-    [QuantisationPhase::FixedNoise, QuantisationPhase::Noise, QuantisationPhase::Rounded];
+const PHASES: [QuantizationPhase; 3] =
+    [QuantizationPhase::FixedNoise, QuantizationPhase::Noise, QuantizationPhase::Rounded];
 
 #[test]
-fn noise_is_uniform_and_unlike_its_neighbours() {
+fn noise_is_uniform_and_unlike_its_neighbors() {
     let mut values = Vec::new();
-    for key in [Quantisation::key(0, 1), Quantisation::key(0, 2), Quantisation::key(1, 1)] {
+    for key in [Quantization::key(0, 1), Quantization::key(0, 2), Quantization::key(1, 1)] {
         values.push((0..400).flat_map(|a| (0..50).map(move |c| noise(key, a, c))).collect::<Vec<_>>());
     }
     for noise in &values {
@@ -43,12 +43,12 @@ fn the_twins_gradient_is_that_of_its_rows_with_noise_and_residuals_held() {
     let case = Case::random(3, SMALL, 6, 0);
     let ends = columns(SMALL);
     for phase in PHASES {
-        let by = quantisation(phase);
+        let by = quantization(phase);
         for anchor in 0..6 {
             let row = f64s(case.anchors.row(anchor));
             let (mask, steps) = (case.anchors.masks[anchor], case.own_steps(anchor));
             let widths =
-                if phase == QuantisationPhase::FixedNoise { BASE_STEPS.map(f64::from) } else { steps };
+                if phase == QuantizationPhase::FixedNoise { BASE_STEPS.map(f64::from) } else { steps };
             // Positive, so that no scaling below its step asks for more.
             let d: Vec<f64> = random_gradients(9, SMALL.row()).iter().map(|v| f64::from(v.abs())).collect();
             // Everything rendered by value and step, the residual that of the row as it is.
@@ -57,10 +57,10 @@ fn the_twins_gradient_is_that_of_its_rows_with_noise_and_residuals_held() {
                     let group = ends[1..].iter().filter(|end| column >= **end).count();
                     let still = &row[column];
                     let residual = |value: f64, width: f64| match phase {
-                        QuantisationPhase::Rounded => (value / width).round() - value / width,
+                        QuantizationPhase::Rounded => (value / width).round() - value / width,
                         _ => noise(by.key, anchor as u32, column as u32),
                     };
-                    let old = if phase == QuantisationPhase::FixedNoise {
+                    let old = if phase == QuantizationPhase::FixedNoise {
                         f64::from(BASE_STEPS[group])
                     } else {
                         steps[group]
@@ -77,10 +77,10 @@ fn the_twins_gradient_is_that_of_its_rows_with_noise_and_residuals_held() {
                 });
                 parts.sum()
             };
-            let rendered = quantise_rows(SMALL, &by, anchor as u32, &row, mask, steps);
+            let rendered = quantize_rows(SMALL, &by, anchor as u32, &row, mask, steps);
             let plain: f64 = rendered.iter().zip(&d).map(|(v, d)| v * d).sum();
             assert!((plain - loss(&row, widths)).abs() < 1e-9, "the loss is that of the rendered rows");
-            let (d_row, d_log_steps) = quantise_gradient(SMALL, &by, anchor as u32, &row, mask, steps, &d);
+            let (d_row, d_log_steps) = quantize_gradient(SMALL, &by, anchor as u32, &row, mask, steps, &d);
             for (column, found) in d_row.iter().enumerate() {
                 let at = |by: f64| {
                     let mut moved = row.clone();
@@ -105,17 +105,17 @@ fn the_twins_gradient_is_that_of_its_rows_with_noise_and_residuals_held() {
 
 #[test]
 fn a_scaling_below_its_step_is_one_step_and_can_only_be_asked_to_grow() {
-    let by = quantisation(QuantisationPhase::Rounded);
+    let by = quantization(QuantizationPhase::Rounded);
     let mut row = vec![0.5; SMALL.row()];
     let step = 0.02_f64;
     row[SMALL.scaling_column()] = (0.3 * step).ln();
     let steps = [1.0, step, 1.0];
-    let rendered = quantise_rows(SMALL, &by, 0, &row, 0, steps);
+    let rendered = quantize_rows(SMALL, &by, 0, &row, 0, steps);
     assert!((rendered[SMALL.scaling_column()] - step.ln()).abs() < 1e-12);
     for (sign, expected) in [(1.0, 0.0), (-1.0, -0.3)] {
         let mut d = vec![0.0; SMALL.row()];
         d[SMALL.scaling_column()] = sign;
-        let (d_row, d_log_steps) = quantise_gradient(SMALL, &by, 0, &row, 0, steps, &d);
+        let (d_row, d_log_steps) = quantize_gradient(SMALL, &by, 0, &row, 0, steps, &d);
         assert!((d_row[SMALL.scaling_column()] - expected).abs() < 1e-12, "{d_row:?}");
         assert!((d_log_steps[1] - sign * std::f64::consts::LN_2).abs() < 1e-12, "it is the step");
     }
@@ -128,25 +128,25 @@ fn the_kernels_match_the_twins() {
         let case = Case::random(count as u64, shape, count, 0);
         let d_rendered = random_gradients(5, count * shape.row());
         for phase in PHASES {
-            let by = quantisation(phase);
+            let by = quantization(phase);
             let uploaded = OnDevice::upload(&device, &case, &d_rendered);
-            device.write(uploaded.quantised.rows(), &vec![JUNK; count * shape.row()]);
-            device.write(uploaded.quantised.log_quant_step_gradients(), &vec![JUNK; 3 * count]);
-            let mut recorder = device.recorder("quantise");
-            uploaded.quantised.record_forward(&mut recorder, &uploaded.anchors, &by).expect("recorded");
+            device.write(uploaded.quantized.rows(), &vec![JUNK; count * shape.row()]);
+            device.write(uploaded.quantized.log_quant_step_gradients(), &vec![JUNK; 3 * count]);
+            let mut recorder = device.recorder("quantize");
+            uploaded.quantized.record_forward(&mut recorder, &uploaded.anchors, &by).expect("recorded");
             uploaded
-                .quantised
+                .quantized
                 .record_backward(&mut recorder, &uploaded.anchors, &by, &uploaded.d_rows)
                 .expect("recorded");
             recorder.submit().expect("submitted");
-            let rows = device.read(uploaded.quantised.rows()).expect("read");
+            let rows = device.read(uploaded.quantized.rows()).expect("read");
             let d_rows = device.read(&uploaded.d_rows).expect("read");
-            let d_log_steps = device.read(uploaded.quantised.log_quant_step_gradients()).expect("read");
+            let d_log_steps = device.read(uploaded.quantized.log_quant_step_gradients()).expect("read");
             let (mut expected_d, mut expected_log) = (Vec::new(), Vec::new());
             for anchor in 0..count {
                 let row = f64s(case.anchors.row(anchor));
                 let (mask, steps) = (case.anchors.masks[anchor], case.own_steps(anchor));
-                let expected = quantise_rows(shape, &by, anchor as u32, &row, mask, steps);
+                let expected = quantize_rows(shape, &by, anchor as u32, &row, mask, steps);
                 let found = &rows[anchor * shape.row()..][..shape.row()];
                 for (column, (found, expected)) in found.iter().zip(&expected).enumerate() {
                     let error = (f64::from(*found) - expected).abs();
@@ -157,7 +157,7 @@ fn the_kernels_match_the_twins() {
                     }
                 }
                 let d = f64s(&d_rendered[anchor * shape.row()..][..shape.row()]);
-                let (d_row, by_steps) = quantise_gradient(shape, &by, anchor as u32, &row, mask, steps, &d);
+                let (d_row, by_steps) = quantize_gradient(shape, &by, anchor as u32, &row, mask, steps, &d);
                 expected_d.extend(d_row);
                 expected_log.extend(by_steps);
             }
@@ -171,13 +171,13 @@ fn the_kernels_match_the_twins() {
 fn rounded_values_are_a_files_bit_for_bit() {
     let device = gpu();
     let case = Case::random(8, USUAL, 50, 0);
-    let quantised = QuantisedRows::upload(&device, USUAL, &case.steps).expect("room");
+    let quantized = QuantizedRows::upload(&device, USUAL, &case.steps).expect("room");
     let uploaded = OnDevice::upload(&device, &case, &[0.0; 4]);
-    let mut recorder = device.recorder("quantise");
-    let by = quantisation(QuantisationPhase::Rounded);
-    quantised.record_forward(&mut recorder, &uploaded.anchors, &by).expect("recorded");
+    let mut recorder = device.recorder("quantize");
+    let by = quantization(QuantizationPhase::Rounded);
+    quantized.record_forward(&mut recorder, &uploaded.anchors, &by).expect("recorded");
     recorder.submit().expect("submitted");
-    let rows = device.read(quantised.rows()).expect("read");
+    let rows = device.read(quantized.rows()).expect("read");
     for (i, found) in rows.iter().enumerate() {
         let (anchor, column) = (i / USUAL.row(), i % USUAL.row());
         if column < USUAL.features {

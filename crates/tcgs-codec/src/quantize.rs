@@ -1,10 +1,10 @@
-//! From floats to the integers of a file and back. Dequantisation is one f32 multiplication a value and one a step, in one function that
+//! From floats to the integers of a file and back. Dequantization is one f32 multiplication a value and one a step, in one function that
 //! encoder and decoder share.
 
 use rayon::prelude::*;
 
 use super::{
-    context::quant_steps::factor, error::EncodeError, manifest::Manifest, networks::QuantisedNetworks,
+    context::quant_steps::factor, error::EncodeError, manifest::Manifest, networks::QuantizedNetworks,
     shape::Attribute, symbols::MAX_SYMBOL,
 };
 use crate::domain::{AnchorScene, NearPlane, SceneFrame, SceneScale};
@@ -22,9 +22,9 @@ pub(super) struct Symbols {
     pub(super) step_indices: [Vec<i8>; 3],
 }
 
-/// An attribute group of a scene, to be quantised anchor by anchor.
+/// An attribute group of a scene, to be quantized anchor by anchor.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Quantiser<'a> {
+pub(super) struct Quantizer<'a> {
     pub(super) scene: &'a AnchorScene,
     /// Anchors of the scene in file order.
     pub(super) order: &'a [usize],
@@ -33,7 +33,7 @@ pub(super) struct Quantiser<'a> {
     pub(super) base: f32,
 }
 
-impl Quantiser<'_> {
+impl Quantizer<'_> {
     /// Integers of the anchor at place `anchor` of the file, with steps of index `step_index`.
     pub(super) fn row(&self, anchor: usize, step_index: i8, row: &mut [i32]) -> Result<(), EncodeError> {
         let scene = self.scene;
@@ -87,8 +87,8 @@ fn round_ties_even(value: f32) -> f64 {
 
 /// The scene of the integers: each value is its integer, exact in f32, times its anchor's step, which is its
 /// group's base step times a factor from a table.
-pub(super) fn dequantise(symbols: Symbols, networks: &QuantisedNetworks, manifest: &Manifest) -> AnchorScene {
-    let _stage = tracing::debug_span!("dequantise").entered();
+pub(super) fn dequantize(symbols: Symbols, networks: &QuantizedNetworks, manifest: &Manifest) -> AnchorScene {
+    let _stage = tracing::debug_span!("dequantize").entered();
     let shape = manifest.shape();
     let [features, scalings, offsets] = Attribute::ALL.map(|attribute| {
         let (integers, steps) =
@@ -116,7 +116,7 @@ pub(super) fn dequantise(symbols: Symbols, networks: &QuantisedNetworks, manifes
         scalings,
         offsets,
         masks: symbols.masks,
-        networks: networks.dequantise(),
+        networks: networks.dequantize(),
         near: NearPlane::DEFAULT,
         scene_scale: SceneScale::DEFAULT,
         frame: SceneFrame::WORLD,

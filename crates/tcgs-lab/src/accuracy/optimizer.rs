@@ -1,4 +1,4 @@
-//! Cases of the optimiser: steps after long rests, with moments that have all but vanished.
+//! Cases of the optimizer: steps after long rests, with moments that have all but vanished.
 
 use std::sync::Arc;
 

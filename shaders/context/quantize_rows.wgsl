@@ -2,15 +2,15 @@
 // (METHOD.md §4.2). Masked offsets are copied.
 #import tcgs::index::lane_index
 #import tcgs::model::{OFFSET_COLUMN, ROW, SCALING_COLUMN}
-#import tcgs::quantise::{FIXED_NOISE, Quantisation, quantise, quantise_scaling, scaling_of, stream_of}
+#import tcgs::quantize::{FIXED_NOISE, Quantization, quantize, quantize_scaling, scaling_of, stream_of}
 
-@group(0) @binding(0) var<uniform> settings: Quantisation;
+@group(0) @binding(0) var<uniform> settings: Quantization;
 @group(0) @binding(1) var<storage, read> rows: array<f32>;
 @group(0) @binding(2) var<storage, read> masks: array<u32>;
 @group(0) @binding(3) var<storage, read> steps: array<f32>;
 @group(0) @binding(4) var<storage, read_write> rendered: array<f32>;
 
-// Values that an invocation quantises. On a software adapter it is a whole row: lanes with different groups of columns would each
+// Values that an invocation quantizes. On a software adapter it is a whole row: lanes with different groups of columns would each
 // compute what every group needs.
 #ifdef SOFTWARE
 const RUN: u32 = ROW;
@@ -19,7 +19,7 @@ const RUN: u32 = 1u;
 #endif
 
 @compute @workgroup_size(64)
-fn quantise_rows(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) local: u32) {
+fn quantize_rows(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) local: u32) {
     let begin = (lane_index(group, local)) * RUN;
     if begin >= settings.shape.x * ROW {
         return;
@@ -34,16 +34,16 @@ fn quantise_rows(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_
     let mask = masks[anchor];
 #ifdef SOFTWARE
     for (var column = 0u; column < SCALING_COLUMN; column++) {
-        rendered[begin + column] = quantise(phase, stream, column, rows[begin + column], widths.x).value;
+        rendered[begin + column] = quantize(phase, stream, column, rows[begin + column], widths.x).value;
     }
     for (var column = SCALING_COLUMN; column < OFFSET_COLUMN; column++) {
         let scaling = scaling_of(rows[begin + column]);
-        rendered[begin + column] = log(quantise_scaling(phase, stream, column, scaling, widths.y).value);
+        rendered[begin + column] = log(quantize_scaling(phase, stream, column, scaling, widths.y).value);
     }
     for (var column = OFFSET_COLUMN; column < ROW; column++) {
         let value = rows[begin + column];
-        let quantised = quantise(phase, stream, column, value, widths.z).value;
-        rendered[begin + column] = select(value, quantised, ((mask >> ((column - OFFSET_COLUMN) / 3u)) & 1u) == 1u);
+        let quantized = quantize(phase, stream, column, value, widths.z).value;
+        rendered[begin + column] = select(value, quantized, ((mask >> ((column - OFFSET_COLUMN) / 3u)) & 1u) == 1u);
     }
 #else
     let column = begin - anchor * ROW;
@@ -52,9 +52,9 @@ fn quantise_rows(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_
     let width = widths[place];
     var result = value;
     if place == 1u {
-        result = log(quantise_scaling(phase, stream, column, scaling_of(value), width).value);
+        result = log(quantize_scaling(phase, stream, column, scaling_of(value), width).value);
     } else if place == 0u || ((mask >> ((column - OFFSET_COLUMN) / 3u)) & 1u) == 1u {
-        result = quantise(phase, stream, column, value, width).value;
+        result = quantize(phase, stream, column, value, width).value;
     }
     rendered[begin] = result;
 #endif

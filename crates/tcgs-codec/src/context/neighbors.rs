@@ -7,7 +7,7 @@
 
 use rayon::prelude::*;
 
-use crate::{domain::context_model::NEIGHBOURS, morton};
+use crate::{domain::context_model::NEIGHBORS, morton};
 
 /// Anchors in a box of the lowest level.
 const LEAF: usize = 8;
@@ -18,16 +18,16 @@ const FANOUT: usize = 4;
 /// For each cell the indices of the cells that its context is made of: itself, then its three nearest others by distance,
 /// then by Morton code relative to the least cell. Where there are fewer others, itself again.
 #[must_use]
-pub fn neighbours(cells: &[[i32; 3]]) -> Vec<[u32; NEIGHBOURS]> {
+pub fn neighbors(cells: &[[i32; 3]]) -> Vec<[u32; NEIGHBORS]> {
     let order = morton_order(cells);
     let sorted: Vec<[i32; 3]> = order.iter().map(|index| cells[*index as usize]).collect();
     let hierarchy = Hierarchy::new(&sorted);
-    let found: Vec<[u32; NEIGHBOURS]> = (0..sorted.len())
+    let found: Vec<[u32; NEIGHBORS]> = (0..sorted.len())
         .into_par_iter()
         .with_min_len(256)
         .map(|rank| hierarchy.nearest(rank).map(|rank| order[rank as usize]))
         .collect();
-    let mut by_index = vec![[0; NEIGHBOURS]; cells.len()];
+    let mut by_index = vec![[0; NEIGHBORS]; cells.len()];
     for (index, near) in order.iter().zip(found) {
         by_index[*index as usize] = near;
     }
@@ -103,7 +103,7 @@ impl<'a> Hierarchy<'a> {
         Self { cells, levels }
     }
 
-    fn nearest(&self, rank: usize) -> [u32; NEIGHBOURS] {
+    fn nearest(&self, rank: usize) -> [u32; NEIGHBORS] {
         let mut best = Best { query: rank, cell: self.cells[rank], nearest: [(u128::MAX, rank as u32); 3] };
         // The own leaf first: its distances leave out most of the rest.
         let own = rank / LEAF;
@@ -142,7 +142,7 @@ struct Best {
     query: usize,
     cell: [i32; 3],
     /// Squared distance and rank, nearest first.
-    nearest: [(u128, u32); NEIGHBOURS - 1],
+    nearest: [(u128, u32); NEIGHBORS - 1],
 }
 
 impl Best {
@@ -168,7 +168,7 @@ mod tests {
     use super::*;
 
     /// All distances, sorted.
-    fn brute_force(cells: &[[i32; 3]]) -> Vec<[u32; NEIGHBOURS]> {
+    fn brute_force(cells: &[[i32; 3]]) -> Vec<[u32; NEIGHBORS]> {
         let order = morton_order(cells);
         let mut rank = vec![0; cells.len()];
         order.iter().zip(0..).for_each(|(index, place)| rank[*index as usize] = place);
@@ -197,10 +197,10 @@ mod tests {
 
     #[test]
     fn fewer_than_four_anchors_are_padded_with_the_anchor_itself() {
-        assert!(neighbours(&[]).is_empty());
-        assert_eq!(neighbours(&[[5, 5, 5]]), [[0, 0, 0, 0]]);
-        assert_eq!(neighbours(&[[0, 0, 0], [9, 0, 0]]), [[0, 1, 0, 0], [1, 0, 1, 1]]);
-        assert_eq!(neighbours(&[[0, 0, 0], [9, 0, 0], [1, 0, 0]])[0], [0, 2, 1, 0]);
+        assert!(neighbors(&[]).is_empty());
+        assert_eq!(neighbors(&[[5, 5, 5]]), [[0, 0, 0, 0]]);
+        assert_eq!(neighbors(&[[0, 0, 0], [9, 0, 0]]), [[0, 1, 0, 0], [1, 0, 1, 1]]);
+        assert_eq!(neighbors(&[[0, 0, 0], [9, 0, 0], [1, 0, 0]])[0], [0, 2, 1, 0]);
     }
 
     #[test]
@@ -210,10 +210,10 @@ mod tests {
         let mut cells = vec![[0, 0, 0]];
         cells.extend(around);
         let expected = brute_force(&cells);
-        assert_eq!(neighbours(&cells), expected);
+        assert_eq!(neighbors(&cells), expected);
         let first: Vec<[i32; 3]> = expected[0].iter().map(|index| cells[*index as usize]).collect();
         cells[1..].reverse();
-        let again = neighbours(&cells)[0];
+        let again = neighbors(&cells)[0];
         assert_eq!(again.map(|index| cells[index as usize]), first[..]);
     }
 
@@ -227,7 +227,7 @@ mod tests {
             [i32::MIN, i32::MAX, i32::MAX - 1],
             [1, 0, 0],
         ];
-        assert_eq!(neighbours(&cells), brute_force(&cells));
+        assert_eq!(neighbors(&cells), brute_force(&cells));
     }
 
     /// Clouds on which a k-d tree degenerates: each of 40 000 anchors, checked where the answer is known in closed form.
@@ -235,14 +235,14 @@ mod tests {
     fn lines_planes_and_crosses_of_many_equal_coordinates_are_searched() {
         let n = 40_000;
         let line: Vec<[i32; 3]> = (0..n).map(|x| [3 * x, -7, 1 << 20]).collect();
-        for (x, near) in neighbours(&line).into_iter().enumerate().skip(2).take(n as usize - 4) {
+        for (x, near) in neighbors(&line).into_iter().enumerate().skip(2).take(n as usize - 4) {
             let mut others: Vec<i64> = near[1..].iter().map(|other| i64::from(*other) - x as i64).collect();
             others.sort_unstable();
             assert!(others == [-1, 1, 2] || others == [-2, -1, 1], "{x}: {near:?}");
         }
         let plane: Vec<[i32; 3]> = (0..n).map(|index| [index % 200, 5, index / 200]).collect();
         let apart = |cells: &[[i32; 3]], a: usize, b: u32| squared_distance(cells[a], cells[b as usize]);
-        for (index, near) in neighbours(&plane).into_iter().enumerate() {
+        for (index, near) in neighbors(&plane).into_iter().enumerate() {
             let corner = [0, 199].contains(&plane[index][0]) && [0, 199].contains(&plane[index][2]);
             let far = if corner { 2 } else { 1 };
             assert!(apart(&plane, index, near[2]) == 1 && apart(&plane, index, near[3]) == far);
@@ -254,7 +254,7 @@ mod tests {
                 cell
             })
             .collect();
-        for (index, near) in neighbours(&cross).into_iter().enumerate().filter(|(index, _)| *index > 30) {
+        for (index, near) in neighbors(&cross).into_iter().enumerate().filter(|(index, _)| *index > 30) {
             assert!(apart(&cross, index, near[3]) <= 9, "{index}: {near:?}");
         }
         // All but one on a sphere around that one: every leaf is as near as every other.
@@ -267,7 +267,7 @@ mod tests {
             },
         ));
         let shell = distinct(shell);
-        assert_eq!(neighbours(&shell), brute_force(&shell));
+        assert_eq!(neighbors(&shell), brute_force(&shell));
     }
 
     #[test]
@@ -276,7 +276,7 @@ mod tests {
             distinct((0..5000_i32).map(|i| [i * 7919 % 61, i * 104_729 % 53, i * 31 % 47]).collect());
         let with = |threads: usize| {
             let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("a pool");
-            pool.install(|| neighbours(&cells))
+            pool.install(|| neighbors(&cells))
         };
         assert_eq!(with(1), with(3));
     }
@@ -296,7 +296,7 @@ mod tests {
                 .collect();
             cells.extend(wide);
             let cells = distinct(cells);
-            prop_assert_eq!(neighbours(&cells), brute_force(&cells));
+            prop_assert_eq!(neighbors(&cells), brute_force(&cells));
         }
     }
 }

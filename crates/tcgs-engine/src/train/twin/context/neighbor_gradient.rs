@@ -4,7 +4,7 @@ use crate::train::context::{ContextAnchors, ContextConfig};
 
 /// Gradients by the samples at each anchor, `[N][3 channels]`, from those by the inputs of the sampled ones.
 #[must_use]
-pub fn neighbour_gradient(
+pub fn neighbor_gradient(
     config: &ContextConfig,
     anchors: &ContextAnchors,
     sample: &[u32],
@@ -13,9 +13,9 @@ pub fn neighbour_gradient(
     let (sampled, width) = (config.kind.sampled(), 3 * config.planes.channels);
     let mut d_samples = vec![0.0; anchors.count * width];
     for (anchor, d_input) in sample.iter().zip(d_inputs) {
-        let neighbours = &anchors.neighbours[*anchor as usize * sampled..][..sampled];
-        for (neighbour, d) in neighbours.iter().zip(d_input.chunks_exact(width)) {
-            let place = &mut d_samples[*neighbour as usize * width..][..width];
+        let neighbors = &anchors.neighbors[*anchor as usize * sampled..][..sampled];
+        for (neighbor, d) in neighbors.iter().zip(d_input.chunks_exact(width)) {
+            let place = &mut d_samples[*neighbor as usize * width..][..width];
             place.iter_mut().zip(d).for_each(|(sum, d)| *sum += d);
         }
     }

@@ -1,13 +1,13 @@
 // From the gradients by the rendered rows, in place, to those by the rows, and to those by the base-2 logarithms of each
 // anchor's three steps. Noise and rounding residuals are constants; so the gradient of a feature or an offset is
-// that of its quantised value.
+// that of its quantized value.
 #import tcgs::index::lane_index
 #import tcgs::model::{OFFSETS, OFFSET_COLUMN, ROW, SCALING_COLUMN}
-#import tcgs::quantise::{FIXED_NOISE, Quantisation, quantise, quantise_scaling, scaling_of, stream_of, through_floor}
+#import tcgs::quantize::{FIXED_NOISE, Quantization, quantize, quantize_scaling, scaling_of, stream_of, through_floor}
 
 const LOG_TWO: f32 = 0.69314718;
 
-@group(0) @binding(0) var<uniform> settings: Quantisation;
+@group(0) @binding(0) var<uniform> settings: Quantization;
 @group(0) @binding(1) var<storage, read> rows: array<f32>;
 @group(0) @binding(2) var<storage, read> masks: array<u32>;
 @group(0) @binding(3) var<storage, read> steps: array<f32>;
@@ -15,7 +15,7 @@ const LOG_TWO: f32 = 0.69314718;
 @group(0) @binding(5) var<storage, read_write> d_log_steps: array<f32>;
 
 @compute @workgroup_size(64)
-fn quantise_gradient(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) local: u32) {
+fn quantize_gradient(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) local: u32) {
     let anchor = lane_index(group, local);
     if anchor >= settings.shape.x {
         return;
@@ -29,14 +29,14 @@ fn quantise_gradient(@builtin(workgroup_id) group: vec3u, @builtin(local_invocat
     let first = anchor * ROW;
     var sums = vec3f(0.0);
     for (var column = 0u; column < SCALING_COLUMN; column++) {
-        let by_width = quantise(phase, stream, column, rows[first + column], widths.x).by_width;
+        let by_width = quantize(phase, stream, column, rows[first + column], widths.x).by_width;
         sums.x += d_rows[first + column] * by_width;
     }
     for (var column = SCALING_COLUMN; column < OFFSET_COLUMN; column++) {
         let scaling = scaling_of(rows[first + column]);
-        let quantised = quantise_scaling(phase, stream, column, scaling, widths.y);
-        let gradient = d_rows[first + column] / quantised.value;
-        sums.y += gradient * quantised.by_width;
+        let quantized = quantize_scaling(phase, stream, column, scaling, widths.y);
+        let gradient = d_rows[first + column] / quantized.value;
+        sums.y += gradient * quantized.by_width;
         d_rows[first + column] = through_floor(scaling, widths.y, gradient) * scaling;
     }
     let mask = masks[anchor];
@@ -46,7 +46,7 @@ fn quantise_gradient(@builtin(workgroup_id) group: vec3u, @builtin(local_invocat
         }
         for (var axis = 0u; axis < 3u; axis++) {
             let column = OFFSET_COLUMN + 3u * k + axis;
-            let by_width = quantise(phase, stream, column, rows[first + column], widths.z).by_width;
+            let by_width = quantize(phase, stream, column, rows[first + column], widths.z).by_width;
             sums.z += d_rows[first + column] * by_width;
         }
     }

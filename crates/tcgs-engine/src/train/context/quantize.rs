@@ -1,7 +1,7 @@
-//! Quantises rows for rendering during training: first by noise as wide as the quantisation steps, then by rounding
+//! Quantizes rows for rendering during training: first by noise as wide as the quantization steps, then by rounding
 //! (METHOD.md §4.2).
 //!
-//! Noise is a hash of seed, step, anchor and column, so a repeated step has the same noise. Scalings are quantised as linear values,
+//! Noise is a hash of seed, step, anchor and column, so a repeated step has the same noise. Scalings are quantized as linear values,
 //! not as logarithms, and are at least one step, as a file stores them.
 
 use std::sync::Arc;
@@ -12,9 +12,9 @@ use crate::{
     render::DeviceAnchors,
 };
 
-/// How values are quantised for rendering.
+/// How values are quantized for rendering.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum QuantisationPhase {
+pub enum QuantizationPhase {
     /// Uniform noise as wide as the base steps.
     FixedNoise = 0,
     /// Uniform noise as wide as each anchor's own steps.
@@ -23,18 +23,18 @@ pub enum QuantisationPhase {
     Rounded = 2,
 }
 
-/// The quantisation of one training step.
+/// The quantization of one training step.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Quantisation {
+pub struct Quantization {
     /// How.
-    pub phase: QuantisationPhase,
+    pub phase: QuantizationPhase,
     /// Base steps of features, scalings and offsets; positive.
     pub base_quant_steps: [f32; 3],
-    /// Seed of the noise; see [`Quantisation::key`].
+    /// Seed of the noise; see [`Quantization::key`].
     pub key: u32,
 }
 
-impl Quantisation {
+impl Quantization {
     /// The noise's key in step `step` of a run with this seed.
     #[must_use]
     pub fn key(seed: u64, step: u32) -> u32 {
@@ -42,19 +42,19 @@ impl Quantisation {
         halves.into_iter().fold(0, |key, part| pcg_hash(key ^ pcg_hash(part)))
     }
 
-    pub(super) fn uniform(&self, anchors: usize) -> QuantisationUniform {
+    pub(super) fn uniform(&self, anchors: usize) -> QuantizationUniform {
         let [features, scalings, offsets] = self.base_quant_steps;
-        QuantisationUniform {
+        QuantizationUniform {
             shape: [anchors as u32, self.phase as u32, self.key, 0],
             base: [features, scalings, offsets, 0.0],
         }
     }
 }
 
-/// The uniform of `shaders/shared/quantise.wgsl`.
+/// The uniform of `shaders/shared/quantize.wgsl`.
 #[repr(C)]
 #[derive(Debug, Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]
-pub(super) struct QuantisationUniform {
+pub(super) struct QuantizationUniform {
     shape: [u32; 4],
     base: [f32; 4],
 }
@@ -66,23 +66,23 @@ pub(in super::super) fn pcg_hash(value: u32) -> u32 {
     (word >> 22) ^ word
 }
 
-/// Rendered rows on the device, with each anchor's quantisation steps and the gradients by them.
+/// Rendered rows on the device, with each anchor's quantization steps and the gradients by them.
 #[derive(Debug)]
-pub struct QuantisedRows {
-    quantise_rows: Arc<Kernel>,
-    quantise_gradient: Arc<Kernel>,
+pub struct QuantizedRows {
+    quantize_rows: Arc<Kernel>,
+    quantize_gradient: Arc<Kernel>,
     rows: Buffer<f32>,
     steps: Buffer<f32>,
     d_log_quant_steps: Buffer<f32>,
 }
 
-impl QuantisedRows {
+impl QuantizedRows {
     /// Plans the rendered rows of `anchors` anchors.
     #[must_use]
     pub fn plan(shape: Shape, anchors: usize) -> Plan<'static, Self> {
         planned!(Self {
-            quantise_rows: Plan::kernel(kernel_source!("quantise_rows"), &shape.defs()),
-            quantise_gradient: Plan::kernel(kernel_source!("quantise_gradient"), &shape.defs()),
+            quantize_rows: Plan::kernel(kernel_source!("quantize_rows"), &shape.defs()),
+            quantize_gradient: Plan::kernel(kernel_source!("quantize_gradient"), &shape.defs()),
             rows: Plan::buffer("rendered rows", anchors * shape.row()),
             steps: Plan::buffer("steps of anchors", 3 * anchors),
             d_log_quant_steps: Plan::buffer("gradients of steps", 3 * anchors),
@@ -129,17 +129,17 @@ impl QuantisedRows {
         }
     }
 
-    /// Records the quantisation of the rows. Masked offsets are copied.
+    /// Records the quantization of the rows. Masked offsets are copied.
     pub fn record_forward(
         &self,
         recorder: &mut Recorder<'_>,
         anchors: &DeviceAnchors,
-        quantisation: &Quantisation,
+        quantization: &Quantization,
     ) -> Result<(), GpuError> {
-        let settings = recorder.uniform(&[quantisation.uniform(anchors.count)])?;
+        let settings = recorder.uniform(&[quantization.uniform(anchors.count)])?;
         let a_lane = recorder.variant().choose(anchors.shape.row(), 1);
         recorder.dispatch(
-            &self.quantise_rows,
+            &self.quantize_rows,
             &[&settings, &anchors.rows, &anchors.masks, &self.steps, &self.rows],
             (anchors.count * anchors.shape.row() / a_lane).div_ceil(64) as u32,
         );
@@ -147,17 +147,17 @@ impl QuantisedRows {
     }
 
     /// Records the backward pass: turns `d_rows` from the gradients by the rendered rows into those by the anchors' rows.
-    /// `anchors` and `quantisation` are those of the forward pass.
+    /// `anchors` and `quantization` are those of the forward pass.
     pub fn record_backward(
         &self,
         recorder: &mut Recorder<'_>,
         anchors: &DeviceAnchors,
-        quantisation: &Quantisation,
+        quantization: &Quantization,
         d_rows: &Buffer<f32>,
     ) -> Result<(), GpuError> {
-        let settings = recorder.uniform(&[quantisation.uniform(anchors.count)])?;
+        let settings = recorder.uniform(&[quantization.uniform(anchors.count)])?;
         recorder.dispatch(
-            &self.quantise_gradient,
+            &self.quantize_gradient,
             &[&settings, &anchors.rows, &anchors.masks, &self.steps, d_rows, &self.d_log_quant_steps],
             anchors.count.div_ceil(64) as u32,
         );
