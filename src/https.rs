@@ -50,7 +50,7 @@ impl ExtraRoots {
     /// [`RootsError`].
     pub fn from_pem(file: &[u8]) -> Result<Self, RootsError> {
         let certificates = CertificateDer::pem_slice_iter(file).collect::<Result<Vec<_>, _>>();
-        let certificates = certificates.map_err(|fault| RootsError::Pem(fault.to_string()))?;
+        let certificates = certificates.map_err(|error| RootsError::Pem(error.to_string()))?;
         if certificates.is_empty() {
             return Err(RootsError::Empty);
         }
@@ -58,7 +58,7 @@ impl ExtraRoots {
         for (place, certificate) in (1..).zip(&certificates) {
             store
                 .add(certificate.clone())
-                .map_err(|fault| RootsError::Certificate { place, reason: fault.to_string() })?;
+                .map_err(|error| RootsError::Certificate { place, reason: error.to_string() })?;
         }
         Ok(Self(certificates))
     }
@@ -85,22 +85,22 @@ pub fn client_builder_trusting(roots: &ExtraRoots) -> Result<reqwest::ClientBuil
 #[must_use]
 pub fn certificate_fault(error: &reqwest::Error) -> Option<&'static str> {
     let mut cause: Option<&(dyn Error + 'static)> = Some(error);
-    while let Some(fault) = cause {
-        if let Some(rustls::Error::InvalidCertificate(fault)) = fault.downcast_ref() {
-            return Some(reason(fault));
+    while let Some(error) = cause {
+        if let Some(rustls::Error::InvalidCertificate(error)) = error.downcast_ref() {
+            return Some(reason(error));
         }
         // `io::Error::source` skips the error that it wraps.
-        let held = fault.downcast_ref::<io::Error>().and_then(io::Error::get_ref);
+        let held = error.downcast_ref::<io::Error>().and_then(io::Error::get_ref);
         cause = match held {
             Some(held) => Some(held),
-            None => fault.source(),
+            None => error.source(),
         };
     }
     None
 }
 
-fn reason(fault: &CertificateError) -> &'static str {
-    match fault {
+fn reason(error: &CertificateError) -> &'static str {
+    match error {
         // A bad signature means another authority of the same name.
         CertificateError::UnknownIssuer | CertificateError::BadSignature => {
             "is signed by no authority that is trusted here"
@@ -150,11 +150,11 @@ mod tests {
     #[test]
     fn a_file_that_holds_no_certificate_is_refused_with_what_is_wrong() {
         let mark = |kind: &str, text: &str| format!("-----BEGIN {kind}-----\n{text}\n-----END {kind}-----\n");
-        let fault = |file: &str| ExtraRoots::from_pem(file.as_bytes()).expect_err("refused").to_string();
+        let error = |file: &str| ExtraRoots::from_pem(file.as_bytes()).expect_err("refused").to_string();
         for nothing in [String::new(), "hello".into(), mark("PRIVATE KEY", "AAAA")] {
-            assert!(fault(&nothing).contains("no certificate"), "{nothing}");
+            assert!(error(&nothing).contains("no certificate"), "{nothing}");
         }
-        assert!(fault(&mark("CERTIFICATE", "?")).contains("is not PEM"));
-        assert!(fault(&mark("CERTIFICATE", "AAAA")).starts_with("certificate 1: "));
+        assert!(error(&mark("CERTIFICATE", "?")).contains("is not PEM"));
+        assert!(error(&mark("CERTIFICATE", "AAAA")).starts_with("certificate 1: "));
     }
 }

@@ -145,9 +145,9 @@ impl Bench {
     fn record_raster_backward(
         &mut self,
         recorder: &mut Recorder<'_>,
-        v_image: &Buffer<[f32; 4]>,
+        d_image: &Buffer<[f32; 4]>,
     ) -> Result<(), RenderError> {
-        self.rasterizer.backward(recorder, &self.gaussians, &self.camera, v_image, &self.d_gaussians)
+        self.rasterizer.backward(recorder, &self.gaussians, &self.camera, d_image, &self.d_gaussians)
     }
 
     fn record_networks_backward(&mut self, recorder: &mut Recorder<'_>) -> Result<(), RenderError> {
@@ -167,8 +167,8 @@ impl Bench {
         let mut recorder = device.recorder("step");
         self.record_networks_forward(&mut recorder)?;
         self.record_raster_forward(&mut recorder)?;
-        let v_image = self.record_loss(&mut recorder)?;
-        self.record_raster_backward(&mut recorder, &v_image)?;
+        let d_image = self.record_loss(&mut recorder)?;
+        self.record_raster_backward(&mut recorder, &d_image)?;
         self.record_networks_backward(&mut recorder)?;
         self.record_adam(&mut recorder)?;
         recorder.submit()?;
@@ -194,10 +194,10 @@ impl Bench {
         self.record_raster_forward(&mut recorder)?;
         take(&raster_stage, recorder)?;
         let mut recorder = device.timed_recorder("loss");
-        let v_image = self.record_loss(&mut recorder)?;
+        let d_image = self.record_loss(&mut recorder)?;
         take(&|_| "loss", recorder)?;
         let mut recorder = device.timed_recorder("rasterizer");
-        self.record_raster_backward(&mut recorder, &v_image)?;
+        self.record_raster_backward(&mut recorder, &d_image)?;
         take(&raster_stage, recorder)?;
         let mut recorder = device.timed_recorder("networks");
         self.record_networks_backward(&mut recorder)?;

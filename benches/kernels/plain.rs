@@ -71,9 +71,9 @@ impl Bench {
         self.plain.forward(recorder, &self.rows, &self.camera)?;
         self.rasterizer.forward(recorder, self.plain.gaussians(), &self.camera, [0.0; 3])?;
         let image = self.rasterizer.image();
-        let v_image = self.loss.record(recorder, size, image, &self.photograph, None)?.clone();
+        let d_image = self.loss.record(recorder, size, image, &self.photograph, None)?.clone();
         let d_gaussians = self.plain.gaussian_gradients()?.clone();
-        self.rasterizer.backward(recorder, self.plain.gaussians(), &self.camera, &v_image, &d_gaussians)?;
+        self.rasterizer.backward(recorder, self.plain.gaussians(), &self.camera, &d_image, &d_gaussians)?;
         self.plain.backward(recorder, &self.rows, &self.gradients)?;
         let step = AdamStep { number: 1, overflow_flag: &self.overflow_flag };
         let [base, bands] = &self.moments;

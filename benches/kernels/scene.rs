@@ -12,12 +12,12 @@ use tcgs::{
     domain::{Camera, Intrinsics, Pose},
     gpu::Device,
     init::{VoxelRule, initial_rows, random_points},
-    model::{AnchorRows, Shape},
+    model::{AnchorRows, ModelShape},
     render::Gaussians,
 };
 
 /// Widths of the anchors, as the preview preset trains them.
-pub(crate) const SHAPE: Shape = Shape::new(32, 10);
+pub(crate) const SHAPE: ModelShape = ModelShape::new(32, 10);
 
 /// A square view from outside the shell.
 pub(crate) fn camera(side: u32) -> Camera {

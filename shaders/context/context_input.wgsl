@@ -3,7 +3,7 @@
 // computes one plane's samples at one neighbor, or the prior, of one anchor. A texel's position and fraction are integers
 // of the decoder's arithmetic, so training samples exactly where the decoder does.
 #import tcgs::context::{PRIORS, corners, sample_weights}
-#import tcgs::spread::part_of
+#import tcgs::permute::part_of
 
 struct Sampling {
     // edge of a plane, channels of a plane, neighbors that are sampled, columns of a row

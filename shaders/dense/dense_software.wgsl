@@ -4,7 +4,7 @@
 // A CPU has few vector registers, masks every assignment that outlives an iteration of a loop, and reads its stack as fast as
 // registers. So an invocation first reads all inputs of four columns, and then computes one output after another, each in one
 // register. Lanes read the weights, four inputs each, and share them. More than 4 BLOCKS inputs are taken in several turns.
-#import tcgs::spread::part_of
+#import tcgs::permute::part_of
 
 struct Layer {
     // inputs, outputs, vectors of four columns in a row, inputs a turn: 4 BLOCKS (not a constant, lest the loop be unrolled)

@@ -4,7 +4,7 @@
 //
 // For the reasons of `dense_software`, an invocation holds the gradients of four outputs at BLOCK columns and computes the sums
 // of one input after another. Lanes read the input's values, four columns each, and share them.
-#import tcgs::spread::part_of
+#import tcgs::permute::part_of
 
 struct Layer {
     // inputs, outputs, vectors of four columns in a row, columns a run (a multiple of BLOCK)

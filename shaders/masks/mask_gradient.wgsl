@@ -2,7 +2,7 @@
 // the opacity, so its gradient is the opacity's times the opacity; the binary mask passes it on straight-through, as the
 // logistic of the logit would. A masked offset was not rendered and has none. Each anchor is visible at most once.
 #import tcgs::model::{OFFSETS, logistic}
-#import tcgs::spread::part_of
+#import tcgs::permute::part_of
 
 @group(0) @binding(0) var<storage, read> list: array<u32>;
 @group(0) @binding(1) var<storage, read> geometry: array<vec4f>;

@@ -3,7 +3,7 @@
 // Screen gradients are in half-image units: pixels times half the width and height. An overflowed pass adds nothing.
 #import tcgs::anchor_view::View
 #import tcgs::model::OFFSETS
-#import tcgs::spread::part_of
+#import tcgs::permute::part_of
 
 const ROW: u32 = 2u * OFFSETS + 2u;
 

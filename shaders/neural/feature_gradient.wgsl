@@ -1,7 +1,7 @@
 // Scatters the gradient of the networks' input to the opaque anchors' features; each anchor has at most one column.
 #import tcgs::anchor_view::View
 #import tcgs::model::{FEATURES, ROW}
-#import tcgs::spread::part_of
+#import tcgs::permute::part_of
 
 @group(0) @binding(0) var<uniform> view: View;
 @group(0) @binding(1) var<storage, read> columns: array<u32>;

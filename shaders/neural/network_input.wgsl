@@ -5,7 +5,7 @@
 #import tcgs::anchor_view::{View, ray_to}
 #import tcgs::finite::below
 #import tcgs::model::{FEATURES, LIMIT, ROW}
-#import tcgs::spread::part_of
+#import tcgs::permute::part_of
 
 @group(0) @binding(0) var<uniform> view: View;
 @group(0) @binding(1) var<storage, read> list: array<u32>;

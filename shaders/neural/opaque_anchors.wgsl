@@ -3,7 +3,7 @@
 #import tcgs::anchor_view::View
 #import tcgs::finite::finite
 #import tcgs::model::OFFSETS
-#import tcgs::spread::part_of
+#import tcgs::permute::part_of
 
 @group(0) @binding(0) var<uniform> view: View;
 @group(0) @binding(1) var<storage, read> list: array<u32>;

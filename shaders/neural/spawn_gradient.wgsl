@@ -4,7 +4,7 @@
 #import tcgs::anchor_view::View
 #import tcgs::geometry::{quat_row, scale_row}
 #import tcgs::model::{ROW, OFFSETS, SCALING_COLUMN, OFFSET_COLUMN, COVARIANCE_OUT, COLOR_OUT, logistic}
-#import tcgs::spread::part_of
+#import tcgs::permute::part_of
 
 @group(0) @binding(0) var<uniform> view: View;
 @group(0) @binding(1) var<storage, read> columns: array<u32>;

@@ -3,7 +3,7 @@
 #import tcgs::anchor_view::View
 #import tcgs::finite::{below, each_below, finite}
 #import tcgs::model::{ROW, OFFSETS, SCALING_COLUMN, OFFSET_COLUMN, LIMIT, tanh_bounded}
-#import tcgs::spread::part_of
+#import tcgs::permute::part_of
 
 // The rasterizer skips smaller opacities (METHOD.md §3.2).
 const MIN_OPACITY: f32 = 1.0 / 255.0;

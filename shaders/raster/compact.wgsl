@@ -1,7 +1,7 @@
 // Lists the visible Gaussians with their depths, in index order.
 
 #import tcgs::view::View
-#import tcgs::spread::part_of
+#import tcgs::permute::part_of
 
 @group(0) @binding(0) var<uniform> view: View;
 @group(0) @binding(1) var<storage, read> count: array<u32>;

@@ -3,7 +3,7 @@
 
 #import tcgs::view::{INTERSECTIONS, REQUIRED, COMPLETED, VISIBLE, View}
 #import tcgs::splat::{NONE, ridges_of, tile_bounds, touches_tile}
-#import tcgs::spread::part_of
+#import tcgs::permute::part_of
 
 @group(0) @binding(0) var<uniform> view: View;
 @group(0) @binding(1) var<storage, read_write> counters: array<u32>;

@@ -2,7 +2,7 @@
 // is that of a chain of a few hundred additions. Rows of Gaussians that touch no tile are not written, and never read.
 
 #import tcgs::view::{VISIBLE, View}
-#import tcgs::spread::part_of
+#import tcgs::permute::part_of
 
 @group(0) @binding(0) var<uniform> view: View;
 @group(0) @binding(1) var<storage, read> counters: array<u32>;
@@ -12,7 +12,7 @@
 @group(0) @binding(4) var<storage, read> first_slots: array<u32>;
 @group(0) @binding(5) var<storage, read> slot_gradients: array<f32>;
 // Three vectors a Gaussian, laid out as the splats.
-@group(0) @binding(6) var<storage, read_write> v_splats: array<vec4f>;
+@group(0) @binding(6) var<storage, read_write> d_splats: array<vec4f>;
 
 const RUN: u32 = 256u;
 
@@ -65,8 +65,8 @@ fn gather(
         for (var part = first; part < end; part += RUN * RUN) {
             sums = sum(sums, runs(part, min(end, part + RUN * RUN)));
         }
-        v_splats[3u * i] = sums.place;
-        v_splats[3u * i + 1u] = sums.conic;
-        v_splats[3u * i + 2u] = sums.color;
+        d_splats[3u * i] = sums.place;
+        d_splats[3u * i + 1u] = sums.conic;
+        d_splats[3u * i + 2u] = sums.color;
     }
 }

@@ -4,7 +4,7 @@
 #import tcgs::finite::all_finite
 #import tcgs::geometry::{quat_row, scale_row}
 #import tcgs::splat::{ALPHA_MIN, ridges_of, tile_bounds, touches_tile}
-#import tcgs::spread::part_of
+#import tcgs::permute::part_of
 
 @group(0) @binding(0) var<uniform> view: View;
 @group(0) @binding(1) var<storage, read> count: array<u32>;

@@ -8,7 +8,7 @@
 
 #import tcgs::view::{TILE, View, tile_pixel}
 #import tcgs::splat::{ALPHA_MAX, ALPHA_MIN, NONE, power_at, ridges_of, touches}
-#import tcgs::spread::part_of
+#import tcgs::permute::part_of
 
 @group(0) @binding(0) var<uniform> view: View;
 @group(0) @binding(1) var<storage, read> ranges: array<vec2u>;
@@ -17,7 +17,7 @@
 @group(0) @binding(4) var<storage, read> splats: array<vec4f>;
 @group(0) @binding(5) var<storage, read> image: array<vec4f>;
 @group(0) @binding(6) var<storage, read> last: array<u32>;
-@group(0) @binding(7) var<storage, read> v_image: array<vec4f>;
+@group(0) @binding(7) var<storage, read> d_image: array<vec4f>;
 // Nine numbers a slot: center (2), opacity, conic (3), color (3).
 @group(0) @binding(8) var<storage, read_write> slot_gradients: array<f32>;
 
@@ -93,15 +93,15 @@ fn visit(k: u32, mask: u32, base: u32, stage: Stage, pixel: ptr<function, Pixel>
             let weight = alpha * (*pixel).transmittance;
             let value = dot((*pixel).weight, vec4f(splat.color.xyz, 1.0));
             (*pixel).remainder -= weight * value;
-            let v_alpha = (*pixel).transmittance * value - (*pixel).remainder / (1.0 - alpha);
+            let d_alpha = (*pixel).transmittance * value - (*pixel).remainder / (1.0 - alpha);
             (*pixel).transmittance *= 1.0 - alpha;
-            let v_raw = select(v_alpha, 0.0, raw > ALPHA_MAX);
-            let v_power = -raw * v_raw;
-            let v_color = weight * (*pixel).weight.xyz;
-            let v_center = v_power * vec2f(dot(splat.conic.xy, d), dot(splat.conic.yz, d));
-            (*gradient).a += vec4f(v_center, falloff * v_raw, 0.5 * d.x * d.x * v_power);
-            (*gradient).b += vec4f(d.x * d.y * v_power, 0.5 * d.y * d.y * v_power, v_color.xy);
-            (*gradient).c += v_color.z;
+            let d_raw = select(d_alpha, 0.0, raw > ALPHA_MAX);
+            let d_power = -raw * d_raw;
+            let d_color = weight * (*pixel).weight.xyz;
+            let d_center = d_power * vec2f(dot(splat.conic.xy, d), dot(splat.conic.yz, d));
+            (*gradient).a += vec4f(d_center, falloff * d_raw, 0.5 * d.x * d.x * d_power);
+            (*gradient).b += vec4f(d.x * d.y * d_power, 0.5 * d.y * d.y * d_power, d_color.xy);
+            (*gradient).c += d_color.z;
         }
     }
     return;
@@ -183,7 +183,7 @@ fn raster_backward(
         if all(position < view.size) {
             let i = position.y * view.size.x + position.x;
             let seen = image[i];
-            weight = v_image[i];
+            weight = d_image[i];
             remainder = dot(weight, vec4f(seen.xyz, 1.0 - seen.w));
             taken = last[i];
         }

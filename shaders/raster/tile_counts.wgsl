@@ -1,7 +1,7 @@
 // The tile counts of the visible Gaussians, nearest first.
 
 #import tcgs::view::{VISIBLE, View}
-#import tcgs::spread::part_of
+#import tcgs::permute::part_of
 
 @group(0) @binding(0) var<uniform> view: View;
 @group(0) @binding(1) var<storage, read> counters: array<u32>;

@@ -1,7 +1,7 @@
 // Finds where each tile's list begins and ends (the ranges start zeroed), and names its Gaussians.
 
 #import tcgs::view::{INTERSECTIONS, View}
-#import tcgs::spread::part_of
+#import tcgs::permute::part_of
 
 @group(0) @binding(0) var<uniform> view: View;
 @group(0) @binding(1) var<storage, read> counters: array<u32>;

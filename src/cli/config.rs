@@ -155,21 +155,21 @@ fn toml_value(argument: &Arg, values: &[String]) -> String {
 }
 
 fn read(path: &Path, command: &Command) -> Result<Vec<Entry>, CliError> {
-    let fault = |line: Option<usize>, fault: &str| {
+    let invalid = |line: Option<usize>, reason: &str| {
         let place = line.map_or_else(String::new, |line| format!(", line {line}"));
-        CliError::Usage(format!("--config: {}{place}: {fault}", path.display()))
+        CliError::Usage(format!("--config: {}{place}: {reason}", path.display()))
     };
-    let text = fs::read_to_string(path).map_err(|error| fault(None, &error.to_string()))?;
+    let text = fs::read_to_string(path).map_err(|error| invalid(None, &error.to_string()))?;
     let line_at = |start: usize| 1 + text.bytes().take(start).filter(|byte| *byte == b'\n').count();
     let table = DeTable::parse(&text)
-        .map_err(|error| fault(error.span().map(|span| line_at(span.start)), error.message()))?;
+        .map_err(|error| invalid(error.span().map(|span| line_at(span.start)), error.message()))?;
     let mut entries = Vec::new();
     for (name, value) in table.into_inner() {
         let line = line_at(name.span().start);
         let name = name.into_inner().into_owned();
-        let values = texts(&value).map_err(|error| fault(Some(line), &format!("{name}: {error}")))?;
+        let values = texts(&value).map_err(|error| invalid(Some(line), &format!("{name}: {error}")))?;
         let entry = Entry { name, line, values };
-        check(command, &entry).map_err(|error| fault(Some(line), &error))?;
+        check(command, &entry).map_err(|error| invalid(Some(line), &error))?;
         entries.push(entry);
     }
     Ok(entries)
@@ -209,13 +209,13 @@ fn check(command: &Command, entry: &Entry) -> Result<(), String> {
     let flag = argument.get_long().unwrap_or_default();
     let is_switch = matches!(argument.get_action(), ArgAction::SetTrue | ArgAction::SetFalse);
     if is_switch {
-        let fault = || format!("{}: a switch is true or false", entry.name);
+        let error = || format!("{}: a switch is true or false", entry.name);
         return entry
             .values
             .iter()
             .all(|value| value.parse::<bool>().is_ok())
             .then_some(())
-            .ok_or_else(fault);
+            .ok_or_else(error);
     }
     let typed = entry.values.iter().map(|value| format!("--{flag}={value}"));
     let trial = [command.get_name().to_owned(), command_name.to_owned()].into_iter().chain(typed);
@@ -321,10 +321,10 @@ mod tests {
             ("place = \"x\"\nplace = \"y\"", 2, "duplicate"),
             ("place = ", 1, ""),
         ] {
-            let Err(CliError::Usage(fault)) = parsed(file, &[]) else { panic!("{file} was taken") };
-            assert!(fault.contains(&format!("line {line}: ")) && fault.contains(named), "{file}: {fault}");
+            let Err(CliError::Usage(error)) = parsed(file, &[]) else { panic!("{file} was taken") };
+            assert!(error.contains(&format!("line {line}: ")) && error.contains(named), "{file}: {error}");
         }
         let missing = parse(command(), ["tcgs", "serve", "--config", "/nowhere.toml"].map(OsString::from));
-        assert!(matches!(missing, Err(CliError::Usage(fault)) if fault.contains("/nowhere.toml")));
+        assert!(matches!(missing, Err(CliError::Usage(error)) if error.contains("/nowhere.toml")));
     }
 }

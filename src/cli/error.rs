@@ -36,15 +36,15 @@ pub(crate) enum CliError {
 
 impl CliError {
     /// An input file that cannot be read.
-    pub(crate) fn unreadable(path: &Path, fault: &io::Error) -> Self {
-        Problem::new(ProblemType::UnreadableInput, fault.to_string())
+    pub(crate) fn unreadable(path: &Path, error: &io::Error) -> Self {
+        Problem::new(ProblemType::UnreadableInput, error.to_string())
             .in_file(path.display().to_string())
             .into()
     }
 
     /// An output file that cannot be written.
-    pub(crate) fn unwritable(path: &Path, fault: &io::Error) -> Self {
-        Problem::new(ProblemType::UnwritableOutput, fault.to_string())
+    pub(crate) fn unwritable(path: &Path, error: &io::Error) -> Self {
+        Problem::new(ProblemType::UnwritableOutput, error.to_string())
             .in_file(path.display().to_string())
             .into()
     }
@@ -83,9 +83,9 @@ fn exit_status_of(problem: &Problem) -> u8 {
 }
 
 impl From<OptionError> for CliError {
-    fn from(fault: OptionError) -> Self {
-        let flag = format!("--{}", fault.option.replace('_', "-"));
-        CliError::Usage(format!("{flag}: {}", fault.fault))
+    fn from(error: OptionError) -> Self {
+        let flag = format!("--{}", error.option.replace('_', "-"));
+        CliError::Usage(format!("{flag}: {}", error.error))
     }
 }
 
@@ -107,7 +107,7 @@ mod tests {
 
     #[test]
     fn option_faults_name_the_flag_as_it_is_typed() {
-        let fault = OptionError { option: "max_bytes", fault: "too small".to_owned() };
-        assert_eq!(CliError::from(fault), CliError::Usage("--max-bytes: too small".to_owned()));
+        let error = OptionError { option: "max_bytes", error: "too small".to_owned() };
+        assert_eq!(CliError::from(error), CliError::Usage("--max-bytes: too small".to_owned()));
     }
 }

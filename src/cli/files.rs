@@ -15,13 +15,13 @@ const OUTPUTS: [&str; 9] = ["tcgs", "safetensors", "ply", "spz", "zip", "png", "
 
 /// The bytes of an input file.
 pub(crate) fn read(path: &Path) -> Result<Vec<u8>, CliError> {
-    fs::read(path).map_err(|fault| CliError::unreadable(path, &fault))
+    fs::read(path).map_err(|error| CliError::unreadable(path, &error))
 }
 
 /// Writes `bytes` to a temporary file next to `path`, syncs it and renames it. A link stays, and its file is replaced; a device or pipe is
 /// written to.
 pub(crate) fn write(path: &Path, bytes: &[u8]) -> Result<(), CliError> {
-    let unwritable = |fault: io::Error| CliError::unwritable(path, &fault);
+    let unwritable = |error: io::Error| CliError::unwritable(path, &error);
     if is_stream(path) {
         return OpenOptions::new()
             .write(true)
@@ -32,7 +32,7 @@ pub(crate) fn write(path: &Path, bytes: &[u8]) -> Result<(), CliError> {
     let path = &target(path);
     let mut file = beside(path).map_err(unwritable)?;
     file.write_all(bytes).and_then(|()| file.as_file().sync_all()).map_err(unwritable)?;
-    file.persist(path).map_err(|fault| unwritable(fault.error))?;
+    file.persist(path).map_err(|error| unwritable(error.error))?;
     Ok(())
 }
 
@@ -44,7 +44,7 @@ pub(crate) fn check_writable(path: &Path) -> Result<(), CliError> {
     if is_stream(path) {
         return Ok(());
     }
-    beside(&target(path)).map(drop).map_err(|fault| CliError::unwritable(path, &fault))
+    beside(&target(path)).map(drop).map_err(|error| CliError::unwritable(path, &error))
 }
 
 /// Checks that `output` can be written, that it is not the `input`, whatever it is called, and that its extension is none of another
@@ -182,10 +182,10 @@ mod tests {
     fn faults_name_the_file() {
         let folder = tempfile::tempdir().expect("a temporary folder");
         let missing = folder.path().join("missing");
-        let fault = read(&missing).expect_err("there is no such file");
-        assert_eq!(fault.exit_status(), 3);
-        assert!(fault.to_string().contains("missing"));
-        let fault = write(folder.path(), b"x").expect_err("a folder is in the way");
-        assert_eq!(fault.exit_status(), 4);
+        let error = read(&missing).expect_err("there is no such file");
+        assert_eq!(error.exit_status(), 3);
+        assert!(error.to_string().contains("missing"));
+        let error = write(folder.path(), b"x").expect_err("a folder is in the way");
+        assert_eq!(error.exit_status(), 4);
     }
 }

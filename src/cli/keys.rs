@@ -122,8 +122,8 @@ fn project(text: &str) -> Result<ProjectId, String> {
     if text == DEFAULT_PROJECT {
         return Ok(ProjectId::DEFAULT);
     }
-    text.parse().map_err(|fault| {
-        format!("{fault}; it is an id as `tcgs projects list` shows it, or {DEFAULT_PROJECT}")
+    text.parse().map_err(|error| {
+        format!("{error}; it is an id as `tcgs projects list` shows it, or {DEFAULT_PROJECT}")
     })
 }
 
@@ -152,8 +152,8 @@ pub(crate) fn run(args: &Args) -> Result<Report, CliError> {
                 None => KeyProject::New(limits),
                 Some(id) if limits == ProjectLimits::default() => KeyProject::Existing(id),
                 Some(id) => {
-                    let fault = "storage, numbers of jobs and priority are limits of projects, not of keys";
-                    return Err(CliError::Usage(format!("{fault}; set them by 'tcgs projects change {id}'")));
+                    let error = "storage, numbers of jobs and priority are limits of projects, not of keys";
+                    return Err(CliError::Usage(format!("{error}; set them by 'tcgs projects change {id}'")));
                 }
             };
             let request = KeyRequest {

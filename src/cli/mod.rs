@@ -225,7 +225,7 @@ pub(crate) fn main() -> ExitCode {
         Err(failure) => return report::conclude(Err(failure), false),
     };
     // The same parsers have taken every value already.
-    let cli = Cli::from_arg_matches(&settings.matches).unwrap_or_else(|fault| fault.exit());
+    let cli = Cli::from_arg_matches(&settings.matches).unwrap_or_else(|error| error.exit());
     if cli.command.service().is_some_and(|config| config.print_config) {
         return report::conclude(Ok(settings.printed()), false);
     }

@@ -41,7 +41,7 @@ impl FromArgMatches for TrainFlags {
                 matches.get_many(row.name).into_iter().flatten().map(String::as_str).collect();
             if !texts.is_empty() {
                 row.set(&mut options, &texts.join(","))
-                    .map_err(|fault| Error::raw(ErrorKind::ValueValidation, fault))?;
+                    .map_err(|error| Error::raw(ErrorKind::ValueValidation, error))?;
             }
         }
         Ok(Self(options))
@@ -65,7 +65,7 @@ fn flag(row: &'static TrainOption) -> Arg {
     // What is of the right kind may still be out of bounds, which the options' own check says.
     let is_of_kind = move |text: &str| {
         let set = row.set(&mut TrainOptions::default(), text);
-        set.map(|()| text.to_owned()).map_err(|fault| fault.fault)
+        set.map(|()| text.to_owned()).map_err(|error| error.error)
     };
     let list = |flag: Arg| flag.value_name("LIST").value_delimiter(',').action(ArgAction::Append);
     match row.kind {

@@ -30,8 +30,8 @@ pub(crate) fn write(path: &Path, image: &Image) -> Result<(), CliError> {
         ImageFormat::WebP => PictureFormat::Webp,
         _ => PictureFormat::Png,
     };
-    let file = format.encode(image).map_err(|fault| {
-        Problem::new(ProblemType::ImageEncoding, fault.to_string()).in_file(path.display().to_string())
+    let file = format.encode(image).map_err(|error| {
+        Problem::new(ProblemType::ImageEncoding, error.to_string()).in_file(path.display().to_string())
     })?;
     files::write(path, &file)
 }
@@ -49,7 +49,7 @@ mod tests {
             write(&path, &picture).expect("writes");
             assert!(std::fs::read(&path).expect("a file").starts_with(magic), "{name}");
         }
-        let fault = write(&folder.path().join("a.tiff"), &picture).expect_err("no such format");
-        assert_eq!(fault.exit_status(), 2);
+        let error = write(&folder.path().join("a.tiff"), &picture).expect_err("no such format");
+        assert_eq!(error.exit_status(), 2);
     }
 }

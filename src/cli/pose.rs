@@ -12,8 +12,8 @@ pub(crate) fn camera(text: &str) -> Result<Camera, CliError> {
         (text.to_owned(), files::read(text.as_ref())?)
     };
     let refuse = |detail: String| Problem::new(ProblemType::ImpossiblePose, detail).in_file(source.clone());
-    let request: ViewRequest = serde_json::from_slice(&json).map_err(|fault| refuse(fault.to_string()))?;
-    match View::try_from(request).map_err(|fault| refuse(fault.to_string()))? {
+    let request: ViewRequest = serde_json::from_slice(&json).map_err(|error| refuse(error.to_string()))?;
+    match View::try_from(request).map_err(|error| refuse(error.to_string()))? {
         View::Camera(camera) => Ok(camera),
         View::Frame { .. } => {
             Err(refuse("a frame needs its dataset: give --dataset and --frame".to_owned()).into())
@@ -60,9 +60,9 @@ mod tests {
             (r#"{"frame": "view_06"}"#.to_owned(), "--dataset"),
             ("no/such/file.json".to_owned(), "no/such/file.json"),
         ] {
-            let fault = camera(&text).expect_err(word);
-            assert!(fault.to_string().contains(word), "{fault}");
-            assert_eq!(fault.exit_status(), 3);
+            let error = camera(&text).expect_err(word);
+            assert!(error.to_string().contains(word), "{error}");
+            assert_eq!(error.exit_status(), 3);
         }
     }
 }

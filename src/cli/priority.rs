@@ -32,10 +32,10 @@ impl WorkerPriorityFlag {
         let nice = self.value()?;
         #[cfg(unix)]
         if nice > 0
-            && let Err(fault) = rustix::process::nice(nice.into())
+            && let Err(error) = rustix::process::nice(nice.into())
         {
             // Run at the usual priority rather than not at all.
-            tracing::warn!("the priority cannot be lowered by {nice}: {fault}");
+            tracing::warn!("the priority cannot be lowered by {nice}: {error}");
         }
         #[cfg(not(unix))]
         let _ = nice;

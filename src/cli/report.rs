@@ -48,8 +48,8 @@ pub(crate) fn conclude(outcome: Result<Report, CliError>, json: bool) -> ExitCod
     };
     match printed {
         // A closed pipe (`tcgs inspect … | head`) is no error.
-        Err(fault) if fault.kind() != io::ErrorKind::BrokenPipe => {
-            notice(format_args!("tcgs: standard output: {fault}"));
+        Err(error) if error.kind() != io::ErrorKind::BrokenPipe => {
+            notice(format_args!("tcgs: standard output: {error}"));
             ExitCode::from(4)
         }
         _ => ExitCode::from(status),

@@ -38,12 +38,12 @@ pub(crate) fn run(args: &Args) -> Result<Report, CliError> {
     )))
 }
 
-fn failure(fault: SampleError) -> CliError {
-    let kind = match &fault {
+fn failure(error: SampleError) -> CliError {
+    let kind = match &error {
         SampleError::NotEmpty(_) | SampleError::Exists(_) => ProblemType::Exists,
         SampleError::Side(_) => ProblemType::ImpossibleSize,
         SampleError::Io { .. } => ProblemType::UnwritableOutput,
         SampleError::Png(_) | SampleError::Zip(_) => ProblemType::Internal,
     };
-    Problem::new(kind, fault.to_string()).into()
+    Problem::new(kind, error.to_string()).into()
 }

@@ -72,8 +72,8 @@ impl Interruption {
     /// Watches for signals from now on.
     pub(crate) fn listen() -> Self {
         let interruption = Self::default();
-        if let Err(fault) = interruption.clone().watch() {
-            tracing::warn!(%fault, "a signal will end the run without a checkpoint");
+        if let Err(error) = interruption.clone().watch() {
+            tracing::warn!(%error, "a signal will end the run without a checkpoint");
         }
         interruption
     }

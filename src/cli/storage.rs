@@ -46,9 +46,9 @@ impl StorageFlags {
     /// The location that the flags name.
     pub(crate) fn storage(&self) -> Result<Storage, CliError> {
         let blobs = self.blobs.as_deref().map(str::parse).transpose();
-        let blobs = blobs.map_err(|fault| CliError::Usage(format!("--blobs: {fault}")))?;
+        let blobs = blobs.map_err(|error| CliError::Usage(format!("--blobs: {error}")))?;
         let database = self.database.as_deref().map(str::parse).transpose();
-        let database = database.map_err(|fault| CliError::Usage(format!("--database: {fault}")))?;
+        let database = database.map_err(|error| CliError::Usage(format!("--database: {error}")))?;
         Ok(Storage { data: self.data.clone(), database, blobs })
     }
 }

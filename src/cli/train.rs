@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use serde_json::{Value, json};
 use tcgs::{
     domain::{Convergence, CurvePoint, JobMetrics, Phase, SceneFormat},
-    pipeline::{Checkpoints, JobError, Resume, RunJob as _},
+    pipeline::{CheckpointPlan, JobError, Resume, RunJob as _},
 };
 
 use super::{
@@ -150,7 +150,7 @@ fn survey(curve: &[CurvePoint]) -> String {
 }
 
 /// How a run that was stopped goes on.
-fn advice(checkpoints: &Checkpoints) -> String {
+fn advice(checkpoints: &CheckpointPlan) -> String {
     match &checkpoints.keep {
         Some(folder) => format!("go on with --resume {}", folder.display()),
         None => "nothing is kept without --checkpoint DIR".to_owned(),
@@ -158,7 +158,7 @@ fn advice(checkpoints: &Checkpoints) -> String {
 }
 
 /// The checkpoint flags; their folders are checked before anything that takes long.
-fn checkpoints(args: &Args) -> Result<Checkpoints, CliError> {
+fn checkpoints(args: &Args) -> Result<CheckpointPlan, CliError> {
     let keep = args.checkpoint.clone().or_else(|| args.resume.clone());
     if let Some(folder) = &args.resume {
         wiring::check_checkpoint(folder)?;
@@ -166,7 +166,7 @@ fn checkpoints(args: &Args) -> Result<Checkpoints, CliError> {
     if let Some(folder) = &keep {
         files::check_writable(&folder.join("checkpoint"))?;
     }
-    Ok(Checkpoints { keep, resume: args.resume.clone().map_or(Resume::Fresh, Resume::From) })
+    Ok(CheckpointPlan { keep, resume: args.resume.clone().map_or(Resume::Fresh, Resume::From) })
 }
 
 /// The figures of a finished job, for people.

@@ -111,7 +111,7 @@ mod tests {
             assert_eq!(scope.name().parse(), Ok(scope));
             assert_eq!(serde_json::to_value(scope).expect("a string"), scope.name());
         }
-        let fault = "write".parse::<Scope>().expect_err("no scope");
-        assert!(fault.contains("scenes:write"), "{fault}");
+        let error = "write".parse::<Scope>().expect_err("no scope");
+        assert!(error.contains("scenes:write"), "{error}");
     }
 }

@@ -138,8 +138,8 @@ mod tests {
         let long = format!("{good}0");
         let faults = ["", "tcgs_", &good[5..], &good[..52], &slip, &long, &good.to_uppercase(), "tcgs_é"];
         for text in faults {
-            let fault = text.parse::<ApiKey>().expect_err(text);
-            assert!(text.len() < 6 || !fault.to_string().contains(text), "{fault}");
+            let error = text.parse::<ApiKey>().expect_err(text);
+            assert!(text.len() < 6 || !error.to_string().contains(text), "{error}");
         }
     }
 

@@ -279,8 +279,8 @@ mod tests {
             ("https://169.254.169.254/latest/meta-data", "link-local"),
             (&long, "2068 bytes"),
         ] {
-            let fault = PUBLIC.check_url(bad).expect_err(bad).to_string();
-            assert!(fault.contains(named), "{bad}: {fault}");
+            let error = PUBLIC.check_url(bad).expect_err(bad).to_string();
+            assert!(error.contains(named), "{bad}: {error}");
         }
         for local in
             ["http://127.0.0.1:9/hook", "http://localhost:9/", "http://[::1]:9/", "https://localhost/"]

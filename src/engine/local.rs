@@ -72,8 +72,8 @@ fn export(
     let cameras = if held_out.is_empty() { trained } else { held_out };
     // The same key as for its views, so a scene on the device is not loaded again.
     let source = SceneViews::over(Arc::clone(views), digest, file);
-    let fidelity = fidelity(&source, &exported, &cameras).unwrap_or_else(|fault| {
-        tracing::warn!("export fidelity not measured: {fault}");
+    let fidelity = fidelity(&source, &exported, &cameras).unwrap_or_else(|error| {
+        tracing::warn!("export fidelity not measured: {error}");
         None
     });
     Ok(ExportedScene { bytes: exported.bytes, gaussians, sh_degree: exported.degree, fidelity })

@@ -263,7 +263,7 @@ mod tests {
         let full = || io::Error::from(io::ErrorKind::StorageFull);
         let scene = DatasetId(uuid::Uuid::from_u128(1));
         let index = BlobError::Index(StoreError::of_a_silent_database());
-        for (fault, expected) in [
+        for (error, expected) in [
             (ProblemResponse::from(StoreError::NoDataset(scene)), ProblemType::SceneNotFound),
             (BlobError::TooLarge { limit: 17 }.into(), ProblemType::BodyTooLarge),
             (index.into(), ProblemType::Busy),
@@ -271,7 +271,7 @@ mod tests {
             (BlobError::Io(full()).into(), ProblemType::StorageFull),
             (BlobError::Io(io::Error::other("damaged")).into(), ProblemType::Internal),
         ] {
-            let Problem { kind, detail, .. } = fault.into_problem();
+            let Problem { kind, detail, .. } = error.into_problem();
             assert_eq!(kind, Problem::new(expected, "").kind, "{detail}");
         }
     }

@@ -71,12 +71,12 @@ pub struct ViewerServices {
 }
 
 /// Work of one kind, a part of it at a time.
-struct Turns {
+struct Admission {
     admitted: Arc<Semaphore>,
     running: Arc<Semaphore>,
 }
 
-impl Turns {
+impl Admission {
     fn new(running: usize, waiting: usize) -> Self {
         let running = running.max(1);
         let of = |permits| Arc::new(Semaphore::new(permits));
@@ -92,8 +92,8 @@ impl Turns {
 
 struct Viewer {
     services: ViewerServices,
-    renders: Turns,
-    exports: Turns,
+    renders: Admission,
+    exports: Admission,
 }
 
 /// A problem as an answer.
@@ -151,8 +151,8 @@ pub async fn serve(
 fn router(services: ViewerServices, limits: ViewerConfig) -> Router {
     let viewer = Arc::new(Viewer {
         services,
-        renders: Turns::new(limits.renders, limits.renders_waiting),
-        exports: Turns::new(limits.exports, limits.exports_waiting),
+        renders: Admission::new(limits.renders, limits.renders_waiting),
+        exports: Admission::new(limits.exports, limits.exports_waiting),
     });
     Router::new()
         .route(RENDER, post(render).layer(DefaultBodyLimit::max(MAX_RENDER_REQUEST)))

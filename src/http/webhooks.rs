@@ -53,7 +53,7 @@ pub(super) async fn create(
         .limits
         .webhook_targets
         .check_url(&url)
-        .map_err(|fault| ProblemType::UrlNotAllowed.because(format!("url: {fault}")))?;
+        .map_err(|error| ProblemType::UrlNotAllowed.because(format!("url: {error}")))?;
     if description.as_ref().is_some_and(|text| text.chars().count() > MAX_DESCRIPTION) {
         return Err(invalid(format!("description: is longer than {MAX_DESCRIPTION} characters")));
     }
@@ -84,7 +84,7 @@ fn wanted(names: Option<Vec<String>>) -> ApiResult<Vec<WebhookEvent>> {
     let Some(names) = names else { return Ok(WebhookEvent::ALL.to_vec()) };
     let mut events = Vec::new();
     for name in names {
-        let event: WebhookEvent = name.parse().map_err(|fault| invalid(format!("events: {fault}")))?;
+        let event: WebhookEvent = name.parse().map_err(|error| invalid(format!("events: {error}")))?;
         if events.contains(&event) {
             return Err(invalid(format!("events: '{name}' is given twice")));
         }

@@ -15,11 +15,11 @@ pub enum ChangeKind {
 ///
 /// Notifications can be lost, so whoever waits also asks at intervals ([`Changes::is_live`]).
 #[derive(Debug, Clone)]
-pub struct Changes(Option<watch::Receiver<Told>>);
+pub struct Changes(Option<watch::Receiver<ListenerState>>);
 
 /// What a listener knows.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub(super) struct Told {
+pub(super) struct ListenerState {
     /// Whether it is connected.
     pub(super) is_live: bool,
     /// How many changes it was told of.
@@ -33,7 +33,7 @@ impl Changes {
         Self(None)
     }
 
-    pub(super) fn of(receiver: watch::Receiver<Told>) -> Self {
+    pub(super) fn of(receiver: watch::Receiver<ListenerState>) -> Self {
         Self(Some(receiver))
     }
 
@@ -63,7 +63,7 @@ mod tests {
 
     #[tokio::test]
     async fn a_change_ends_a_wait_and_where_nothing_tells_of_changes_no_wait_ends() {
-        let told = watch::Sender::new(Told::default());
+        let told = watch::Sender::new(ListenerState::default());
         let mut changes = Changes::of(told.subscribe());
         assert!(!changes.is_live() && changes.wait().now_or_never().is_none(), "it is not connected yet");
         told.send_modify(|told| told.is_live = true);

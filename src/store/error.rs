@@ -61,12 +61,12 @@ pub enum StoreError {
     #[error("there is no scene {0}")]
     NoDataset(DatasetId),
     /// A stored value cannot be read back.
-    #[error("the stored {what} is unreadable: {fault}")]
+    #[error("the stored {what} is unreadable: {error}")]
     Corrupt {
         /// Table and column.
         what: &'static str,
         /// Why.
-        fault: String,
+        error: String,
     },
     /// The database does not open.
     #[error("the database {path} does not open")]

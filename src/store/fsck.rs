@@ -104,12 +104,12 @@ mod tests {
         let blob = Digest::of(b"blob");
         let sound = FsckReport { blobs: 1, orphans: vec![blob], ..FsckReport::default() };
         assert!(sound.is_sound());
-        for fault in [
+        for error in [
             FsckReport { missing: vec![blob], ..sound.clone() },
             FsckReport { damaged: vec![blob], ..sound.clone() },
             FsckReport { database: vec!["a page is torn".to_owned()], ..sound.clone() },
         ] {
-            assert!(!fault.is_sound(), "{fault:?}");
+            assert!(!error.is_sound(), "{error:?}");
         }
     }
 }

@@ -43,13 +43,13 @@ fn error_of(status: u16) -> Option<String> {
 
 fn retry(due: &DueDelivery, retry_after: Option<&str>) -> AfterAttempt {
     let Some(seconds) = PAUSES.get(due.tries.saturating_sub(1) as usize) else { return AfterAttempt::GiveUp };
-    let pause = Duration::from_secs(*seconds).mul_f64(spread(due.id, due.tries));
+    let pause = Duration::from_secs(*seconds).mul_f64(jitter(due.id, due.tries));
     let requested = retry_after.and_then(|text| parse_retry_after(text, due.at)).unwrap_or_default();
     AfterAttempt::RetryAfter(pause.max(requested.min(MAX_RETRY_AFTER)))
 }
 
 /// A factor in [0.9, 1.1] by the delivery and the try, so that deliveries which failed together are not retried together.
-fn spread(id: DeliveryId, tries: u32) -> f64 {
+fn jitter(id: DeliveryId, tries: u32) -> f64 {
     let draw = Digest::of(format!("{id}/{tries}").as_bytes()).as_bytes()[0];
     0.9 + 0.2 * f64::from(draw) / 255.0
 }

@@ -40,8 +40,8 @@ mod tests {
         let signature = sign(&secret, id, 1_614_265_330, r#"{"test": 2432232314}"#);
         assert_eq!(signature.as_deref(), Ok("v1,g0hM9SsE+OTPJTGt/tmIKtSyZlE3uFJELVlNIOLJ1OE="));
         for bad in ["MfKQ9r8GKYqrTwjUPD8ILPZIo2LaLaSw", "whsec_***"] {
-            let fault = sign(&WebhookSecret::stored(bad.into()), id, 0, "").expect_err("no secret");
-            assert!(!fault.to_string().contains(bad));
+            let error = sign(&WebhookSecret::stored(bad.into()), id, 0, "").expect_err("no secret");
+            assert!(!error.to_string().contains(bad));
         }
     }
 }

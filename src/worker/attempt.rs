@@ -29,7 +29,7 @@ use crate::{
         CancelFlag, FailurePoint, JobState, Phase, Problem, ProblemType, Progress, TrainOptions,
         failure_point::reach,
     },
-    pipeline::{Checkpoints, JobError, JobOutput, RunJob},
+    pipeline::{CheckpointPlan, JobError, JobOutput, RunJob},
     store::{BlobCopy, BlobError, Blobs, Claim, Lease, Outcome, Store, StoreError, is_disk_full},
 };
 
@@ -195,7 +195,7 @@ async fn while_renewing<T>(
 struct RunArgs {
     dataset: BlobCopy,
     options: TrainOptions,
-    checkpoints: Checkpoints,
+    checkpoints: CheckpointPlan,
     cancel: CancelFlag,
 }
 

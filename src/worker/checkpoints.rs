@@ -12,7 +12,7 @@ use std::{
 
 use crate::{
     domain::JobId,
-    pipeline::{Checkpoints, Resume},
+    pipeline::{CheckpointPlan, Resume},
     store::{Lease, Store},
 };
 
@@ -26,8 +26,8 @@ pub(super) fn folder(root: &Path, job: JobId) -> PathBuf {
 
 /// The checkpoint folder of an attempt below `root`, with the checkpoint of the job's attempt before, or else that of the job
 /// `resume_from`.
-pub(super) fn of_attempt(root: Option<&Path>, lease: &Lease, resume_from: Option<JobId>) -> Checkpoints {
-    let Some(root) = root else { return Checkpoints { keep: None, resume: Resume::Fresh } };
+pub(super) fn of_attempt(root: Option<&Path>, lease: &Lease, resume_from: Option<JobId>) -> CheckpointPlan {
+    let Some(root) = root else { return CheckpointPlan { keep: None, resume: Resume::Fresh } };
     let job = folder(root, lease.job);
     let own = job.join(attempt_name(lease.attempt));
     if let Some(earlier) = newest(&job, lease.attempt) {
@@ -42,7 +42,7 @@ pub(super) fn of_attempt(root: Option<&Path>, lease: &Lease, resume_from: Option
             remove(&retried);
         }
     }
-    Checkpoints { keep: Some(own.clone()), resume: Resume::IfPossible(own) }
+    CheckpointPlan { keep: Some(own.clone()), resume: Resume::IfPossible(own) }
 }
 
 /// Moves the checkpoints of an attempt to the next one's folder; returns whether that succeeded.
@@ -139,7 +139,7 @@ mod tests {
 
     /// The folder that an attempt writes to and resumes from.
     fn begin(root: &Path, lease: &Lease, resume_from: Option<JobId>) -> PathBuf {
-        let Checkpoints { keep, resume } = of_attempt(Some(root), lease, resume_from);
+        let CheckpointPlan { keep, resume } = of_attempt(Some(root), lease, resume_from);
         let keep = keep.expect("a folder");
         assert_eq!(resume, Resume::IfPossible(keep.clone()));
         keep
@@ -181,6 +181,6 @@ mod tests {
         assert_eq!(read(&begin(root.path(), &lease(2, 2), other)), "another's", "its own checkpoint");
         forget(root.path(), lease(2, 1).job);
         assert!(!folder(root.path(), lease(2, 1).job).exists());
-        assert_eq!(of_attempt(None, &lease(1, 1), other), Checkpoints::default());
+        assert_eq!(of_attempt(None, &lease(1, 1), other), CheckpointPlan::default());
     }
 }

@@ -21,7 +21,7 @@ fn row(case: &Case, bound: &Bound, error: &str) -> String {
 fn assert_within_the_bounds(device: &Arc<Device>) {
     let mut exceeded = Vec::new();
     for case in accuracy::cases() {
-        let outcomes = case.outcomes(device).unwrap_or_else(|fault| panic!("{fault}"));
+        let outcomes = case.outcomes(device).unwrap_or_else(|error| panic!("{error}"));
         for (outcome, bound) in outcomes.iter().zip(case.bounds) {
             let line = row(case, bound, &format!("{:.1e}", outcome.error));
             println!("{line}");

@@ -12,7 +12,7 @@ use serde_json::{Value, json};
 use tcgs::{
     domain::{AnchorScene, Background, GaussianScene, Lattice, NearPlane, SceneFrame},
     export::{PlyNote, SpzVersion, anchors, from_ply, from_spz, to_ply, to_spz},
-    model::{AnchorRows, NetworkLayout, Shape},
+    model::{AnchorRows, ModelShape, NetworkLayout},
     sample::{self, Settings},
 };
 
@@ -29,7 +29,7 @@ macro_rules! line {
 
 /// A ball of anchors with networks of random weights, which depend on the view as trained ones do.
 fn scene() -> AnchorScene {
-    let shape = Shape::new(8, 3);
+    let shape = ModelShape::new(8, 3);
     let layout = NetworkLayout::new(shape);
     let networks = layout.to_networks(&layout.initial(&mut rand_pcg::Pcg64::seed_from_u64(11)));
     let cells: Vec<[i32; 3]> = (0..1000)

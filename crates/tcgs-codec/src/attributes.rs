@@ -14,7 +14,7 @@ use super::{
     error::{DecodeError, Result},
     fit,
     range::StreamDecoder,
-    shape::{Attribute, Shape},
+    shape::{Attribute, SceneShape},
 };
 use crate::domain::context_model::ContextKind;
 
@@ -77,7 +77,7 @@ fn read_tables(reader: &mut Reader<'_>, channels: usize) -> Result<BaseModel> {
 /// Offsets that are masked off are not in the file.
 pub(super) fn is_coded(
     masks: &[bool],
-    shape: Shape,
+    shape: SceneShape,
     anchor: usize,
     attribute: Attribute,
     channel: usize,
@@ -94,7 +94,7 @@ pub(super) fn ranges(anchors: usize, chunk_anchors: usize) -> Vec<Range<usize>> 
 pub(super) type Integers = ([Vec<i32>; 3], [Vec<i8>; 3]);
 
 /// The section taken apart but not decoded; all places are offsets within the section and tile it.
-pub(super) struct Layout {
+pub(super) struct AttributeLayout {
     /// Each attribute's tables, `None` for a network.
     pub(super) tables: [Option<BaseModel>; 3],
     /// Each attribute's model parameters.
@@ -116,11 +116,11 @@ pub(super) struct ChunkPlace {
     checksum: u32,
 }
 
-impl Layout {
+impl AttributeLayout {
     /// Reads parameters and index, and checks that the chunks fill the rest of the section.
     pub(super) fn read(
         section: &[u8],
-        shape: Shape,
+        shape: SceneShape,
         chunk_anchors: usize,
         kinds: [Option<ContextKind>; 3],
     ) -> Result<Self> {
@@ -168,7 +168,7 @@ impl Layout {
     pub(super) fn decode(
         &self,
         section: &[u8],
-        shape: Shape,
+        shape: SceneShape,
         masks: &[bool],
         models: [&GroupModel; 3],
         anchors: &AnchorContext,
@@ -214,7 +214,7 @@ impl ChunkTask<'_> {
     fn decode(
         self,
         section: &[u8],
-        shape: Shape,
+        shape: SceneShape,
         masks: &[bool],
         models: [&GroupModel; 3],
         context: &AnchorContext,
@@ -275,8 +275,9 @@ mod tests {
 
     #[test]
     fn chunks_that_the_section_has_no_room_for_are_refused_before_they_are_read() {
-        let shape = Shape { anchors: 5, feature_dim: 1, offsets_per_anchor: 1 };
-        let read = |bytes: usize| Layout::read(&vec![0; bytes], shape, 2, [Some(ContextKind::Position); 3]);
+        let shape = SceneShape { anchors: 5, feature_dim: 1, offsets_per_anchor: 1 };
+        let read =
+            |bytes: usize| AttributeLayout::read(&vec![0; bytes], shape, 2, [Some(ContextKind::Position); 3]);
         // Three chunks of nothing but their entries.
         let layout = read(21).expect("has room for three entries");
         let anchors: Vec<_> = layout.chunks.iter().map(|chunk| chunk.anchors.clone()).collect();

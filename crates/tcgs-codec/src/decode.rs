@@ -13,7 +13,7 @@ use super::{
     positions,
     quantize::{self, Symbols},
     sections,
-    shape::{Attribute, Shape},
+    shape::{Attribute, SceneShape},
     view,
 };
 use crate::domain::{
@@ -96,7 +96,7 @@ pub(super) fn decode_with(
     known: Option<KnownNeighbors<'_>>,
 ) -> Result<Decoded> {
     let _stage = tracing::debug_span!("decode").entered();
-    let Content { manifest, networks, symbols, near, scene_scale, frame, .. } =
+    let DecodedSections { manifest, networks, symbols, near, scene_scale, frame, .. } =
         read_with(bytes, limits, known)?;
     let scene =
         AnchorScene { near, scene_scale, frame, ..quantize::dequantize(symbols, &networks, &manifest) };
@@ -108,7 +108,7 @@ pub(super) fn decode_with(
 }
 
 /// A file's integers with the models that predicted them.
-pub(super) struct Content {
+pub(super) struct DecodedSections {
     pub(super) manifest: Manifest,
     pub(super) networks: QuantizedNetworks,
     pub(super) symbols: Symbols,
@@ -123,11 +123,15 @@ pub(super) struct Content {
 }
 
 /// Reads everything as integers, without dequantizing.
-pub(super) fn read(bytes: &[u8], limits: &DecodeLimits) -> Result<Content> {
+pub(super) fn read(bytes: &[u8], limits: &DecodeLimits) -> Result<DecodedSections> {
     read_with(bytes, limits, None)
 }
 
-fn read_with(bytes: &[u8], limits: &DecodeLimits, known: Option<KnownNeighbors<'_>>) -> Result<Content> {
+fn read_with(
+    bytes: &[u8],
+    limits: &DecodeLimits,
+    known: Option<KnownNeighbors<'_>>,
+) -> Result<DecodedSections> {
     let stage = tracing::Span::current();
     check_limit("file bytes", bytes.len() as u64, limits.max_file_bytes)?;
     let container = Container::parse(bytes)?;
@@ -170,7 +174,8 @@ fn read_with(bytes: &[u8], limits: &DecodeLimits, known: Option<KnownNeighbors<'
     }
     let (networks_of_groups, anchors) = context(&container, &manifest, &cells, limits, known)?;
     let section = container.section(sections::ATTRIBUTES)?.bytes;
-    let mut layout = attributes::Layout::read(section, shape, manifest.chunk_anchors, manifest.kinds())?;
+    let mut layout =
+        attributes::AttributeLayout::read(section, shape, manifest.chunk_anchors, manifest.kinds())?;
     let tables = std::mem::take(&mut layout.tables);
     let models = join(tables, networks_of_groups, regressions)?;
     let (groups, step_indices) = layout.decode(section, shape, &masks, models.each_ref(), &anchors)?;
@@ -179,7 +184,7 @@ fn read_with(bytes: &[u8], limits: &DecodeLimits, known: Option<KnownNeighbors<'
     let near = view::decode_near(container.find(sections::VIEW))?;
     let scene_scale = view::decode_scene_scale(container.find(sections::UNIT))?;
     let frame = view::decode_frame(container.find(sections::FRAME))?;
-    Ok(Content { manifest, networks, symbols, models, anchors, near, scene_scale, frame })
+    Ok(DecodedSections { manifest, networks, symbols, models, anchors, near, scene_scale, frame })
 }
 
 /// Most multiplications that a file's networks may take, and its regressions: 27 000 an anchor for ten million anchors. Anchors that are easily
@@ -233,7 +238,7 @@ fn context(
 }
 
 /// The regressions of the groups that have one.
-fn regressions(container: &Container<'_>, shape: Shape) -> Result<[Option<GroupRegression>; 3]> {
+fn regressions(container: &Container<'_>, shape: SceneShape) -> Result<[Option<GroupRegression>; 3]> {
     let Some(section) = container.find(sections::REGRESSION) else { return Ok([None, None, None]) };
     let widths = Attribute::ALL.map(|attribute| shape.channels(attribute));
     let groups = Regressions::read(section.bytes, widths)?.groups;

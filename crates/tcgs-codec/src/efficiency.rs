@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 use super::{
     attributes::is_coded,
     context::{ContextChoice, GroupChoice, GroupModel, floats::FloatAnchors, quant_steps},
-    decode::{Content, DecodeLimits, read},
+    decode::{DecodeLimits, DecodedSections, read},
     error::Result,
     inspect::inspect,
     shape::Attribute,
@@ -94,7 +94,11 @@ pub fn efficiency(
 }
 
 /// Whether each symbol of an anchor is in the file, with its channel and value.
-fn coded(content: &Content, attribute: Attribute, anchor: usize) -> impl Iterator<Item = (usize, i32)> {
+fn coded(
+    content: &DecodedSections,
+    attribute: Attribute,
+    anchor: usize,
+) -> impl Iterator<Item = (usize, i32)> {
     let shape = content.manifest.shape();
     let channels = shape.channels(attribute);
     let row = &content.symbols.groups[attribute as usize][anchor * channels..(anchor + 1) * channels];
@@ -103,7 +107,7 @@ fn coded(content: &Content, attribute: Attribute, anchor: usize) -> impl Iterato
     symbols.filter(move |(channel, _)| is_coded(masks, shape, anchor, attribute, *channel))
 }
 
-fn by_tables(content: &Content, attribute: Attribute, model: &GroupModel) -> f64 {
+fn by_tables(content: &DecodedSections, attribute: Attribute, model: &GroupModel) -> f64 {
     let shape = content.manifest.shape();
     let channels = shape.channels(attribute);
     let each: Vec<f64> = (0..content.manifest.anchors)
@@ -128,7 +132,7 @@ fn by_tables(content: &Content, attribute: Attribute, model: &GroupModel) -> f64
 }
 
 fn by_floats(
-    content: &Content,
+    content: &DecodedSections,
     attribute: Attribute,
     anchors: &FloatAnchors,
     mlp: &Mlp,

@@ -12,14 +12,14 @@ use super::{
     fit,
     quantize::Quantizer,
     range::StreamEncoder,
-    shape::Shape,
+    shape::SceneShape,
 };
 
 /// Codes one attribute group of a scene.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct GroupCoder<'a> {
     pub(super) quantizer: Quantizer<'a>,
-    pub(super) shape: Shape,
+    pub(super) shape: SceneShape,
     /// `[N][K]`, in file order.
     pub(super) masks: &'a [bool],
     /// Anchors of each chunk.

@@ -7,7 +7,7 @@ use std::{fmt, ops::Range};
 use serde::{Deserialize, Serialize};
 
 use super::{
-    attributes::Layout,
+    attributes::AttributeLayout,
     container::{ARITHMETIC_PROFILE, Container, FIXED_HEADER, Section, id_text},
     context::{Regressions, section},
     error::Result,
@@ -205,7 +205,7 @@ fn map_section(section: &Section<'_>, manifest: &Manifest, map: &mut Map) -> Res
         }
         sections::ATTRIBUTES => {
             let (shape, kinds) = (manifest.shape(), manifest.kinds());
-            let layout = Layout::read(section.bytes, shape, manifest.chunk_anchors, kinds)?;
+            let layout = AttributeLayout::read(section.bytes, shape, manifest.chunk_anchors, kinds)?;
             for attribute in Attribute::ALL {
                 let place = &layout.parameters[attribute as usize];
                 if !place.is_empty() {

@@ -7,7 +7,7 @@ use super::{
     bytes::{Reader, Writer},
     context::quant_steps::{self, MAX_STEP_INDEX},
     error::{EncodeError, Result},
-    shape::{Attribute, Shape},
+    shape::{Attribute, SceneShape},
     symbols::MAX_SYMBOL,
 };
 use crate::domain::{Background, Digest, Lattice, context_model::ContextKind};
@@ -145,8 +145,8 @@ pub struct Manifest {
 }
 
 impl Manifest {
-    pub(super) fn shape(&self) -> Shape {
-        Shape {
+    pub(super) fn shape(&self) -> SceneShape {
+        SceneShape {
             anchors: self.anchors,
             feature_dim: self.feature_dim,
             offsets_per_anchor: self.offsets_per_anchor,

@@ -13,7 +13,7 @@ const PART: &str = "masks";
 pub(super) fn encode(masks: &[bool], per_anchor: usize) -> Vec<u8> {
     let _stage = tracing::debug_span!("masks").entered();
     let mut stream = StreamEncoder::new();
-    let mut contexts = Contexts::new(per_anchor);
+    let mut contexts = MaskContexts::new(per_anchor);
     for anchor in masks.chunks_exact(per_anchor) {
         contexts.begin();
         for (slot, kept) in anchor.iter().enumerate() {
@@ -32,7 +32,7 @@ pub(super) fn encode(masks: &[bool], per_anchor: usize) -> Vec<u8> {
 pub(super) fn decode(section: &[u8], anchors: usize, per_anchor: usize) -> Result<Vec<bool>> {
     let _stage = tracing::debug_span!("masks").entered();
     let mut stream = StreamDecoder::new(PART, section)?;
-    let mut contexts = Contexts::new(per_anchor);
+    let mut contexts = MaskContexts::new(per_anchor);
     let mut masks = reserve(PART, anchors * per_anchor)?;
     for _ in 0..anchors {
         contexts.begin();
@@ -50,7 +50,7 @@ pub(super) fn decode(section: &[u8], anchors: usize, per_anchor: usize) -> Resul
 
 /// Probabilities by slot, by the same slot of the anchor before, and by how many of this anchor's slots so far
 /// and of the last anchor's slots are set, as shares.
-struct Contexts {
+struct MaskContexts {
     per_anchor: usize,
     bits: Vec<AdaptiveBit>,
     /// Share of the slots so far, by slot and count.
@@ -60,7 +60,7 @@ struct Contexts {
     kept: usize,
 }
 
-impl Contexts {
+impl MaskContexts {
     fn new(per_anchor: usize) -> Self {
         let shares = (0..per_anchor)
             .flat_map(|slot| (0..per_anchor).map(move |kept| share(kept.min(slot), slot) as u8));

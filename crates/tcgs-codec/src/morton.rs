@@ -8,7 +8,7 @@ const X_MASK: u64 = 0x1249_2492_4924_9249;
 
 /// The code of coordinates below 2^21.
 pub(super) fn interleave(cell: [u32; 3]) -> u64 {
-    spread(cell[0]) | spread(cell[1]) << 1 | spread(cell[2]) << 2
+    spaced_bits(cell[0]) | spaced_bits(cell[1]) << 1 | spaced_bits(cell[2]) << 2
 }
 
 /// The coordinates of a code.
@@ -16,7 +16,7 @@ pub(super) fn deinterleave(code: u64) -> [u32; 3] {
     [0, 1, 2].map(|axis| gather(code >> axis))
 }
 
-fn spread(value: u32) -> u64 {
+fn spaced_bits(value: u32) -> u64 {
     let mut x = u64::from(value) & 0x1f_ffff;
     x = (x | x << 32) & 0x001f_0000_0000_ffff;
     x = (x | x << 16) & 0x001f_0000_ff00_00ff;

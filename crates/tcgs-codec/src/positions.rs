@@ -64,7 +64,7 @@ pub(super) fn encode(cells: &Ordered) -> Vec<u8> {
     cells.least.iter().for_each(|low| writer.signed(i64::from(*low)));
     writer.u8(cells.depth as u8);
     let mut stream = StreamEncoder::new();
-    let mut contexts = Contexts::new();
+    let mut contexts = PositionContexts::new();
     let mut level = Level::root();
     for (depth, families) in families(cells).into_iter().enumerate() {
         let below = cells.depth - 1 - depth as u32;
@@ -124,7 +124,7 @@ pub(super) fn decode(section: &[u8], count: usize) -> Result<Vec<[i32; 3]>> {
         return Err(reader.malformed("least cell", format!("{least:?}")));
     }
     let mut stream = StreamDecoder::new(PART, reader.rest())?;
-    let mut contexts = Contexts::new();
+    let mut contexts = PositionContexts::new();
     let mut level = Level::root();
     for below in (0..depth).rev() {
         let mut families = Vec::with_capacity(level.codes.len());
@@ -154,7 +154,7 @@ pub(super) fn decode(section: &[u8], count: usize) -> Result<Vec<[i32; 3]>> {
 /// Codes which children a node has, at least one; `below` is the number of levels beneath the children's.
 fn code_family(
     stream: &mut impl BitCoder,
-    contexts: &mut Contexts,
+    contexts: &mut PositionContexts,
     sides: Sides,
     below: u32,
     family: u8,
@@ -255,13 +255,13 @@ impl Sides {
 const HEIGHTS: usize = 8;
 
 /// The adaptive bits of the three kinds of decisions.
-struct Contexts {
+struct PositionContexts {
     single: Vec<AdaptiveBit>,
     octant: Vec<AdaptiveBit>,
     child: Vec<AdaptiveBit>,
 }
 
-impl Contexts {
+impl PositionContexts {
     fn new() -> Self {
         Self {
             single: vec![AdaptiveBit::NEW; HEIGHTS * 7],
@@ -348,7 +348,7 @@ mod tests {
             least.iter().for_each(|low| section.signed(*low));
             section.u8(depth);
             let mut stream = StreamEncoder::new();
-            let (mut contexts, mut level) = (Contexts::new(), Level::root());
+            let (mut contexts, mut level) = (PositionContexts::new(), Level::root());
             for below in (0..u32::from(depth)).rev() {
                 let sides = Sides::of(&level.sides[0]);
                 code_family(&mut stream, &mut contexts, sides, below, 1 << 7).expect("an encoder");

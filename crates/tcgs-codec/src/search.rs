@@ -19,7 +19,7 @@ use super::{
     manifest::{GroupContext, GroupCosts, QuantSteps},
     quantize::Quantizer,
     regression_fit,
-    shape::{Attribute, Shape},
+    shape::{Attribute, SceneShape},
 };
 use crate::domain::{
     AnchorScene, AttributeGroup, ContextCandidates, ContextFrame, Mlp,
@@ -42,7 +42,7 @@ pub(super) struct Anchors<'a> {
     pub(super) order: &'a [usize],
     pub(super) cells: &'a [[i32; 3]],
     pub(super) masks: &'a [bool],
-    pub(super) shape: Shape,
+    pub(super) shape: SceneShape,
     pub(super) steps: QuantSteps,
     pub(super) chunks: &'a [Range<usize>],
 }
@@ -93,7 +93,7 @@ pub(super) fn choose(
 }
 
 /// Refuses candidates that do not fit the scene or that the format cannot state.
-fn check(candidates: &ContextCandidates, shape: Shape) -> Result<(), EncodeError> {
+fn check(candidates: &ContextCandidates, shape: SceneShape) -> Result<(), EncodeError> {
     let unusable = |what: &str, problem: String| EncodeError::Candidate { what: what.to_owned(), problem };
     if let Some(half) = candidates.frame.half.iter().find(|half| **half == 0) {
         return Err(unusable("frame", format!("a half of {half} cells")));

@@ -5,13 +5,13 @@ use crate::domain::anchors::SCALINGS_PER_ANCHOR;
 
 /// The widths of a scene.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) struct Shape {
+pub(super) struct SceneShape {
     pub(super) anchors: usize,
     pub(super) feature_dim: usize,
     pub(super) offsets_per_anchor: usize,
 }
 
-impl Shape {
+impl SceneShape {
     /// Channels of an attribute.
     pub(super) fn channels(self, attribute: Attribute) -> usize {
         match attribute {

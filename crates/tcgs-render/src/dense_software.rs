@@ -97,7 +97,7 @@ struct Places {
 
 /// The layers in order, and the tables that kernels read.
 #[derive(Debug, Default)]
-struct Layout {
+struct PackedLayout {
     places: Vec<Places>,
     products: Vec<[u32; 8]>,
     packed: usize,
@@ -105,7 +105,7 @@ struct Layout {
     sum_vectors: usize,
 }
 
-impl Layout {
+impl PackedLayout {
     fn new(layers: impl IntoIterator<Item = LayerSpec>) -> Self {
         let mut layout = Self::default();
         for layer in layers {
@@ -146,7 +146,7 @@ pub(super) struct SoftwareLayers {
     pack_weights: Arc<Kernel>,
     dense_weight_gradient: Arc<Kernel>,
     sum_weight_gradient: Arc<Kernel>,
-    layout: Layout,
+    layout: PackedLayout,
     products: Buffer<[u32; 8]>,
     sums: Buffer<[u32; 8]>,
     packed: Buffer<[f32; 4]>,
@@ -154,7 +154,7 @@ pub(super) struct SoftwareLayers {
 
 impl SoftwareLayers {
     pub(super) fn plan(layers: impl IntoIterator<Item = LayerSpec>) -> Plan<'static, Self> {
-        let layout = Layout::new(layers);
+        let layout = PackedLayout::new(layers);
         planned!(Self {
             pack_weights: Plan::kernel(kernel_source!("pack_weights"), &[]),
             dense_weight_gradient: Plan::kernel(kernel_source!("dense_weight_gradient_software"), &[]),

@@ -3,14 +3,14 @@
 use super::Result;
 use crate::{
     gpu::{Buffer, Device, Plan, planned},
-    model::{AnchorRows, NetworkLayout, Shape},
+    model::{AnchorRows, ModelShape, NetworkLayout},
 };
 
 /// Anchors on the device.
 #[derive(Debug)]
 pub struct DeviceAnchors {
     /// Widths.
-    pub shape: Shape,
+    pub shape: ModelShape,
     /// Anchors in use.
     pub count: usize,
     /// World positions.
@@ -26,11 +26,11 @@ pub struct DeviceAnchors {
 impl DeviceAnchors {
     /// Plans zeros for `anchors` anchors and their networks.
     #[must_use]
-    pub fn plan(shape: Shape, anchors: usize) -> Plan<'static, Self> {
+    pub fn plan(shape: ModelShape, anchors: usize) -> Plan<'static, Self> {
         Self::plan_with(shape, anchors, NetworkLayout::new(shape).parameters)
     }
 
-    fn plan_with(shape: Shape, anchors: usize, parameters: usize) -> Plan<'static, Self> {
+    fn plan_with(shape: ModelShape, anchors: usize, parameters: usize) -> Plan<'static, Self> {
         planned!(Self {
             shape: Plan::value(shape),
             count: Plan::value(anchors),
@@ -67,7 +67,7 @@ pub struct AnchorGradients {
 impl AnchorGradients {
     /// Plans the gradients of `anchors` anchors.
     #[must_use]
-    pub fn plan(shape: Shape, anchors: usize) -> Plan<'static, Self> {
+    pub fn plan(shape: ModelShape, anchors: usize) -> Plan<'static, Self> {
         planned!(Self {
             rows: Plan::buffer("gradients of rows", anchors * shape.row()),
             networks: Plan::buffer("gradients of networks", NetworkLayout::new(shape).parameters),

@@ -40,9 +40,9 @@ pub enum RenderError {
 impl From<RenderError> for Problem {
     fn from(error: RenderError) -> Self {
         match error {
-            RenderError::Gpu(fault) => fault.into(),
-            RenderError::Photograph(fault) => fault.into(),
-            fault => Problem::new(ProblemType::Render, fault.to_string()),
+            RenderError::Gpu(error) => error.into(),
+            RenderError::Photograph(error) => error.into(),
+            error => Problem::new(ProblemType::Render, error.to_string()),
         }
     }
 }

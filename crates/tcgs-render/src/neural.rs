@@ -17,7 +17,7 @@ use crate::{
     gpu::{
         AdapterReport, BLOCK, Buffer, Device, Kernel, KernelVariant, Plan, Recorder, kernel_source, planned,
     },
-    model::{NetworkLayout, Shape},
+    model::{ModelShape, NetworkLayout},
 };
 
 /// More anchors than any adapter can hold; sums of their bytes stay far below the range of integers.
@@ -51,7 +51,7 @@ struct Kernels {
 }
 
 impl Kernels {
-    fn new(device: &Device, shape: Shape, subgroups: Option<u32>) -> Result<Self> {
+    fn new(device: &Device, shape: ModelShape, subgroups: Option<u32>) -> Result<Self> {
         let defs = shape.defs();
         let opaque: Vec<_> = defs.iter().copied().chain([("OPAQUE", 1)]).collect();
         let input = kernel_source!("network_input");
@@ -226,7 +226,7 @@ pub struct NeuralGaussians {
 impl NeuralGaussians {
     /// Prepares the kernels for a model of this shape. Views begin at `near`, in world units; networks get distances over
     /// `scene_scale`.
-    pub fn new(device: Arc<Device>, shape: Shape, near: f32, scene_scale: SceneScale) -> Result<Self> {
+    pub fn new(device: Arc<Device>, shape: ModelShape, near: f32, scene_scale: SceneScale) -> Result<Self> {
         let subgroups = device.subgroups().lanes();
         Self::with_subgroups(device, shape, near, scene_scale, subgroups)
     }
@@ -234,7 +234,7 @@ impl NeuralGaussians {
     /// As [`NeuralGaussians::new`], with the kernels without subgroups, for adapters whose subgroups are broken.
     pub fn without_subgroups(
         device: Arc<Device>,
-        shape: Shape,
+        shape: ModelShape,
         near: f32,
         scene_scale: SceneScale,
     ) -> Result<Self> {
@@ -243,7 +243,7 @@ impl NeuralGaussians {
 
     fn with_subgroups(
         device: Arc<Device>,
-        shape: Shape,
+        shape: ModelShape,
         near: f32,
         scene_scale: SceneScale,
         subgroups: Option<u32>,
@@ -266,7 +266,7 @@ impl NeuralGaussians {
     /// Most anchors of a shape whose largest buffer the adapter binds: here, among the anchors' own and in the rasterizer, with the
     /// spare capacity of [`Self::forward`].
     #[must_use]
-    pub fn max_anchors(adapter: &AdapterReport, shape: Shape) -> usize {
+    pub fn max_anchors(adapter: &AdapterReport, shape: ModelShape) -> usize {
         let limit = adapter.max_binding_bytes.min(adapter.max_buffer_bytes);
         let layout = NetworkLayout::new(shape);
         let fits = |anchors: usize| {
@@ -300,7 +300,7 @@ impl NeuralGaussians {
 
     /// Bytes on the device once views of `anchors` anchors were made and differentiated.
     #[must_use]
-    pub fn bytes(shape: Shape, anchors: usize) -> u64 {
+    pub fn bytes(shape: ModelShape, anchors: usize) -> u64 {
         let layout = NetworkLayout::new(shape);
         let capacity = Self::capacity(anchors);
         // Buffer sizes are rounded up, and each layer has a uniform.

@@ -24,7 +24,7 @@ pub(super) const SLOT_FLOATS: usize = 9;
 pub(super) struct PerGaussian {
     pub(super) capacity: usize,
     pub(super) splats: Buffer<[f32; 4]>,
-    pub(super) v_splats: Buffer<[f32; 4]>,
+    pub(super) d_splats: Buffer<[f32; 4]>,
     pub(super) depths: Buffer<u32>,
     pub(super) tiles: Buffer<u32>,
     pub(super) visible: Buffer<u32>,
@@ -45,7 +45,7 @@ impl PerGaussian {
         planned!(Self {
             capacity: Plan::value(capacity),
             splats: Plan::buffer("splats", SPLAT_ROWS * capacity),
-            v_splats: Plan::buffer("gradients of splats", SPLAT_ROWS * capacity),
+            d_splats: Plan::buffer("gradients of splats", SPLAT_ROWS * capacity),
             depths: Plan::buffer("depths", capacity),
             tiles: Plan::buffer("tiles touched", capacity),
             visible: Plan::buffer("visible", capacity),

@@ -305,7 +305,7 @@ impl Rasterizer {
     }
 
     /// Records the gradients of a loss whose derivatives by the image (red, green, blue, alpha = 1 - transmittance) are
-    /// `v_image`. Follows the forward pass of the same camera and Gaussians.
+    /// `d_image`. Follows the forward pass of the same camera and Gaussians.
     ///
     /// # Errors
     /// [`RenderError::OutOfStep`] without that forward pass; [`RenderError::Length`]; faults of the device.
@@ -314,7 +314,7 @@ impl Rasterizer {
         recorder: &mut Recorder<'_>,
         gaussians: &Gaussians,
         camera: &Camera,
-        v_image: &Buffer<[f32; 4]>,
+        d_image: &Buffer<[f32; 4]>,
         out: &GaussianGradients,
     ) -> Result<()> {
         let slots_in_spare = match self.rendered {
@@ -327,7 +327,7 @@ impl Rasterizer {
         };
         check_columns(gaussians)?;
         check_gradients(out, gaussians.capacity)?;
-        check("the image's gradient", v_image.len(), self.image.image.len())?;
+        check("the image's gradient", d_image.len(), self.image.image.len())?;
         let slot_gradients = match &self.intersections.gradients {
             Some(buffer) => buffer.clone(),
             None => {
@@ -350,7 +350,7 @@ impl Rasterizer {
                 &own.splats,
                 &image.image,
                 &image.last,
-                v_image,
+                d_image,
                 &slot_gradients,
             ],
             image.tiles,
@@ -360,7 +360,7 @@ impl Rasterizer {
             if own.sort_depth.ends_in_spare() { &own.by_depth.1.values } else { &own.by_depth.0.values };
         recorder.dispatch(
             &kernels.gather,
-            &[view, &self.counters, ids, &own.tiles, &own.first_slots, &slot_gradients, &own.v_splats],
+            &[view, &self.counters, ids, &own.tiles, &own.first_slots, &slot_gradients, &own.d_splats],
             groups,
         );
         let (geometry, colors, means2d) = (&out.geometry, &out.colors, &out.means2d);
@@ -378,7 +378,7 @@ impl Rasterizer {
                         &self.counters,
                         &gaussians.geometry,
                         &own.tiles,
-                        &own.v_splats,
+                        &own.d_splats,
                         geometry,
                         colors,
                         means2d,
@@ -395,7 +395,7 @@ impl Rasterizer {
                         &gaussians.count,
                         &gaussians.geometry,
                         &own.tiles,
-                        &own.v_splats,
+                        &own.d_splats,
                         geometry,
                         colors,
                         means2d,

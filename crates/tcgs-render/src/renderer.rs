@@ -12,7 +12,7 @@ use super::{
 use crate::{
     domain::{AnchorScene, Background, Camera, GaussianScene, Image, NearPlane, Scene, SceneFrame},
     gpu::{Device, Recorder},
-    model::{AnchorRows, GaussianRows, NetworkLayout, Shape},
+    model::{AnchorRows, GaussianRows, ModelShape, NetworkLayout},
 };
 
 /// A scene on the device, ready to be rendered.
@@ -80,7 +80,7 @@ impl Renderer {
     /// # Errors
     /// [`RenderError::Scene`] for a scene whose parts do not fit together; faults of the device.
     pub fn of_gaussians(device: &Arc<Device>, scene: &GaussianScene, background: Background) -> Result<Self> {
-        scene.check().map_err(|fault| RenderError::Scene(fault.to_string()))?;
+        scene.check().map_err(|error| RenderError::Scene(error.to_string()))?;
         let mut plain = PlainGaussians::new(Arc::clone(device), scene.near.depth())?;
         plain.set_degree(u32::from(scene.degree))?;
         let rows = DeviceGaussians::upload(device, &GaussianRows::from_scene(scene))?;
@@ -117,9 +117,9 @@ impl Renderer {
                 Ok(())
             }
             SceneBuffers::Anchors { .. } | SceneBuffers::Gaussians { .. } => {
-                let fault =
+                let error =
                     "its widths, frame, near plane or scene scale differ from those of the previous scene";
-                Err(RenderError::Scene(fault.to_owned()))
+                Err(RenderError::Scene(error.to_owned()))
             }
         }
     }
@@ -168,7 +168,7 @@ impl Renderer {
             view = self.start(view.camera)?;
         };
         let (width, height) = (view.camera.intrinsics.width, view.camera.intrinsics.height);
-        Image::new(width, height, 3, samples).map_err(|fault| RenderError::Scene(fault.to_string()))
+        Image::new(width, height, 3, samples).map_err(|error| RenderError::Scene(error.to_string()))
     }
 
     /// Renders the view from `camera` once more and leaves it on the device; the scene must have been rendered from there before.
@@ -257,7 +257,7 @@ impl<I: Iterator<Item = Camera>> Iterator for Views<'_, I> {
 }
 
 fn upload(device: &Device, scene: &AnchorScene) -> Result<DeviceAnchors> {
-    Shape::of(scene).check().map_err(RenderError::Scene)?;
+    ModelShape::of(scene).check().map_err(RenderError::Scene)?;
     let rows = AnchorRows::from_scene(scene);
     let networks =
         NetworkLayout::new(rows.shape).from_networks(&scene.networks).map_err(RenderError::Scene)?;

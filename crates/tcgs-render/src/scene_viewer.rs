@@ -95,10 +95,10 @@ impl SceneViewer {
         match state.draw(artifact, load, draw) {
             // A loss may show only in the commands that it makes fail, and those can be repeated. Commands that hung the device
             // would hang it again while others wait, so only the next view reopens it.
-            Err(fault)
+            Err(error)
                 if matches!(state.device.check(), Err(GpuError::DeviceLost(_) | GpuError::Rejected(_))) =>
             {
-                tracing::warn!("reopening the device: {fault}");
+                tracing::warn!("reopening the device: {error}");
                 *state = ViewerState::open(&self.choice, self.budget)?;
                 state.draw(artifact, load, draw)
             }
@@ -176,7 +176,7 @@ impl ViewerState {
                 {
                     renderer = None;
                 }
-                Err(fault) => return Err(fault.into()),
+                Err(error) => return Err(error.into()),
             }
         }
     }

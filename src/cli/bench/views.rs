@@ -141,7 +141,7 @@ fn at_size(camera: &Camera, Size(width, height): Size) -> Result<Camera, Problem
         height,
     };
     Camera::new(intrinsics, camera.pose)
-        .map_err(|fault| Problem::new(ProblemType::ImpossiblePose, fault.to_string()))
+        .map_err(|error| Problem::new(ProblemType::ImpossiblePose, error.to_string()))
 }
 
 fn measure(
@@ -194,7 +194,7 @@ fn encoded_rate(
             });
             started += 1;
             if started - finished >= at_once as u32 {
-                encoded.recv().map_err(|fault| not_encoded(&fault))??;
+                encoded.recv().map_err(|error| not_encoded(&error))??;
                 finished += 1;
             }
         }
@@ -207,11 +207,11 @@ fn encoded_rate(
 
 fn encode(image: &Image) -> Result<(), Problem> {
     let file = PictureFormat::Jpeg { quality: JPEG_QUALITY }.encode(image);
-    file.map(drop).map_err(|fault| not_encoded(&fault))
+    file.map(drop).map_err(|error| not_encoded(&error))
 }
 
-fn not_encoded(fault: &dyn std::error::Error) -> Problem {
-    Problem::new(ProblemType::ImageEncoding, fault.to_string())
+fn not_encoded(error: &dyn std::error::Error) -> Problem {
+    Problem::new(ProblemType::ImageEncoding, error.to_string())
 }
 
 fn text(views: &Views) -> String {

@@ -103,8 +103,8 @@ mod tests {
             let full = io::Error::from(io::ErrorKind::StorageFull);
             let store = StoreError::Open { path: "tcgs.sqlite".into(), source: full.into() };
             tracing::error!(error = &store as &dyn Error, tries = 2, "no database: {store}");
-            let fault = BlobError::TooLarge { limit: 1 };
-            tracing::warn!(error = &fault as &dyn Error, "too large");
+            let error = BlobError::TooLarge { limit: 1 };
+            tracing::warn!(error = &error as &dyn Error, "too large");
             tracing::info!("nothing is wrong");
         });
         let text = String::from_utf8(lines.0.lock().expect("not poisoned").clone()).expect("UTF-8");

@@ -66,7 +66,7 @@ pub(crate) fn delete(args: &JobArgs) -> Result<Report, CliError> {
         Ok(_) => {}
         // An earlier request deleted it, whose answer was lost.
         Err(CliError::Problem(problem)) if sent.get() > 1 && problem.is(ProblemType::JobNotFound) => {}
-        Err(fault) => return Err(fault),
+        Err(error) => return Err(error),
     }
     let text = format!("job {} is deleted", args.job);
     Ok(Report { text, json: json!({ "id": args.job, "deleted": true }) })

@@ -17,10 +17,10 @@ pub(super) struct Archive {
 
 impl Archive {
     pub(super) fn open(dataset: &Path) -> Result<Self, CliError> {
-        let unreadable = |fault| CliError::unreadable(dataset, &fault);
+        let unreadable = |error| CliError::unreadable(dataset, &error);
         let file = if dataset.is_dir() {
             let mut file =
-                tempfile::tempfile().map_err(|fault| CliError::unwritable(&std::env::temp_dir(), &fault))?;
+                tempfile::tempfile().map_err(|error| CliError::unwritable(&std::env::temp_dir(), &error))?;
             wiring::pack(dataset, &mut file)?;
             file
         } else {
@@ -32,7 +32,7 @@ impl Archive {
 
     /// The archive from its byte `from` on.
     pub(super) fn at(&self, from: u64) -> Result<File, CliError> {
-        let unreadable = |fault| CliError::unreadable(&self.name, &fault);
+        let unreadable = |error| CliError::unreadable(&self.name, &error);
         let mut file = self.file.try_clone().map_err(unreadable)?;
         file.seek(SeekFrom::Start(from)).map_err(unreadable)?;
         Ok(file)
@@ -42,7 +42,7 @@ impl Archive {
     pub(super) fn part(&self, from: u64, bytes: u64) -> Result<Vec<u8>, CliError> {
         let mut part = Vec::new();
         let read = self.at(from)?.take(bytes).read_to_end(&mut part);
-        read.map_err(|fault| CliError::unreadable(&self.name, &fault))?;
+        read.map_err(|error| CliError::unreadable(&self.name, &error))?;
         Ok(part)
     }
 }

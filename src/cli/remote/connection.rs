@@ -45,7 +45,7 @@ impl Connection {
     /// A connection to the service at `server`; sends nothing yet.
     pub(super) fn new(server: &str, key: Option<&str>, key_source: String) -> Result<Self, CliError> {
         let base =
-            Url::parse(server).map_err(|fault| CliError::Usage(format!("--server: '{server}': {fault}")))?;
+            Url::parse(server).map_err(|error| CliError::Usage(format!("--server: '{server}': {error}")))?;
         if !matches!(base.scheme(), "http" | "https") || base.host_str().is_none() {
             return Err(CliError::Usage(format!("--server: '{server}' is not an http or https address")));
         }
@@ -56,8 +56,8 @@ impl Connection {
             value.set_sensitive(true);
             headers.insert(AUTHORIZATION, value);
         }
-        let unusable = |fault: String| Problem::new(ProblemType::NoClient, fault);
-        let builder = tcgs::https::client_builder().map_err(|fault| unusable(fault.to_string()))?;
+        let unusable = |error: String| Problem::new(ProblemType::NoClient, error);
+        let builder = tcgs::https::client_builder().map_err(|error| unusable(error.to_string()))?;
         let client = builder
             .default_headers(headers)
             .connect_timeout(CONNECT_TIMEOUT)
@@ -66,14 +66,14 @@ impl Connection {
             // The key must not be sent to the target of a redirect.
             .redirect(reqwest::redirect::Policy::none())
             .build()
-            .map_err(|fault| unusable(fault.to_string()))?;
+            .map_err(|error| unusable(error.to_string()))?;
         Ok(Self { client, base, key_source })
     }
 
     /// A request to a path of the service.
     pub(super) fn request(&self, method: Method, path: &str) -> Result<RequestBuilder, CliError> {
         let url = format!("{}{path}", self.base.as_str().trim_end_matches('/'));
-        let url = Url::parse(&url).map_err(|fault| CliError::Usage(format!("'{path}': {fault}")))?;
+        let url = Url::parse(&url).map_err(|error| CliError::Usage(format!("'{path}': {error}")))?;
         Ok(self.client.request(method, url))
     }
 
@@ -84,7 +84,7 @@ impl Connection {
 
     /// The response to a request, whatever its status. The time for it grows with the bytes to be sent.
     pub(super) async fn response(&self, request: RequestBuilder) -> Result<Response, CliError> {
-        let unreachable = |fault: reqwest::Error| unreachable(&self.base, &fault);
+        let unreachable = |error: reqwest::Error| unreachable(&self.base, &error);
         let request = request.build().map_err(unreachable)?;
         let limit = time_limit(&request);
         match timeout(limit, self.client.execute(request)).await {
@@ -110,7 +110,7 @@ impl Connection {
                     sleep(wanted_pause(&response).unwrap_or(pause)).await;
                 }
                 Ok(response) => match self.accepted(response).await {
-                    Err(fault) if waited < UNDER_WAY_TIMEOUT && is_under_way(&fault) => {
+                    Err(error) if waited < UNDER_WAY_TIMEOUT && is_under_way(&error) => {
                         pause = pause.min(UNDER_WAY_PAUSE);
                         waited += pause;
                         sleep(pause).await;
@@ -121,7 +121,7 @@ impl Connection {
                     tries += 1;
                     sleep(pause).await;
                 }
-                Err(fault) => return Err(fault),
+                Err(error) => return Err(error),
             }
             pause *= 2;
         }
@@ -174,7 +174,7 @@ pub(super) async fn sleep(pause: Duration) {
 pub(super) async fn document<T: DeserializeOwned>(response: Response) -> Result<T, CliError> {
     let body = body(response).await?;
     serde_json::from_slice(&body)
-        .map_err(|fault| unexpected(format!("its answer is not what was expected: {fault}")))
+        .map_err(|error| unexpected(format!("its answer is not what was expected: {error}")))
 }
 
 /// The body of a response, of at most [`DOCUMENT_BYTES`].
@@ -192,7 +192,7 @@ pub(super) async fn body(mut response: Response) -> Result<Vec<u8>, CliError> {
 /// The next piece of a response's body.
 pub(super) async fn next_piece(response: &mut Response) -> Result<Option<Bytes>, CliError> {
     match timeout(READ_TIMEOUT, response.chunk()).await {
-        Ok(piece) => piece.map_err(|fault| unexpected(format!("its answer broke off: {}", root(&fault)))),
+        Ok(piece) => piece.map_err(|error| unexpected(format!("its answer broke off: {}", root(&error)))),
         Err(_) => Err(unexpected(format!("its answer paused for {} s", READ_TIMEOUT.as_secs()))),
     }
 }
@@ -212,17 +212,17 @@ pub(super) fn unexpected(detail: impl AsRef<str>) -> CliError {
 }
 
 /// A transport error.
-pub(super) fn unreachable(base: &Url, fault: &reqwest::Error) -> CliError {
-    let detail = match tcgs::https::certificate_fault(fault) {
+pub(super) fn unreachable(base: &Url, error: &reqwest::Error) -> CliError {
+    let detail = match tcgs::https::certificate_fault(error) {
         Some(reason) => format!("the certificate of {base} {reason}"),
-        None => format!("{base} does not answer: {}", root(fault)),
+        None => format!("{base} does not answer: {}", root(error)),
     };
     Problem::new(ProblemType::Unreachable, detail).into()
 }
 
 /// The innermost cause of an error, in one line.
-fn root(fault: &reqwest::Error) -> String {
-    let mut deepest: &dyn std::error::Error = fault;
+fn root(error: &reqwest::Error) -> String {
+    let mut deepest: &dyn std::error::Error = error;
     while let Some(source) = deepest.source() {
         deepest = source;
     }
@@ -240,9 +240,9 @@ fn is_busy(status: StatusCode) -> bool {
 }
 
 /// Whether the service still answers an earlier request for the same thing.
-fn is_under_way(fault: &CliError) -> bool {
+fn is_under_way(error: &CliError) -> bool {
     let under_way = [ProblemType::UploadLocked, ProblemType::IdempotencyInFlight];
-    matches!(fault, CliError::Problem(problem) if under_way.iter().any(|kind| problem.is(*kind)))
+    matches!(error, CliError::Problem(problem) if under_way.iter().any(|kind| problem.is(*kind)))
 }
 
 /// The pause that the service asks for in `Retry-After`.
@@ -262,11 +262,11 @@ mod tests {
     #[test]
     fn addresses_and_keys_that_cannot_be_are_wrong_usage() {
         for server in ["", "localhost:8080", "ftp://a", "http://", "file:///tmp"] {
-            let fault = connection(server, None).expect_err(server);
-            assert_eq!(fault.exit_status(), 2, "{server}: {fault}");
+            let error = connection(server, None).expect_err(server);
+            assert_eq!(error.exit_status(), 2, "{server}: {error}");
         }
-        let fault = connection("http://a", Some("line\nbreak")).expect_err("no header");
-        assert!(fault.exit_status() == 2 && !fault.to_string().contains("break"), "{fault}");
+        let error = connection("http://a", Some("line\nbreak")).expect_err("no header");
+        assert!(error.exit_status() == 2 && !error.to_string().contains("break"), "{error}");
     }
 
     #[test]

@@ -85,7 +85,7 @@ fn no_file(args: &Args, state: &str) -> CliError {
 /// Downloads the file to `output`; returns the byte at which an earlier download was resumed.
 async fn download(connection: &Connection, artifact: &ArtifactView, output: &Path) -> Result<u64, CliError> {
     let part = part_of(output, artifact.sha256);
-    let unwritable = |fault: io::Error| CliError::unwritable(&part, &fault);
+    let unwritable = |error: io::Error| CliError::unwritable(&part, &error);
     let open = OpenOptions::new().read(true).write(true).create(true).truncate(false).open(&part);
     let mut file = open.map_err(unwritable)?;
     let mut hash = Sha256::new();
@@ -130,7 +130,7 @@ async fn download(connection: &Connection, artifact: &ArtifactView, output: &Pat
         return Err(unexpected(format!("the file came as {found}, not as {}", artifact.sha256)));
     }
     file.sync_all().map_err(unwritable)?;
-    std::fs::rename(&part, output).map_err(|fault| CliError::unwritable(output, &fault))?;
+    std::fs::rename(&part, output).map_err(|error| CliError::unwritable(output, &error))?;
     Ok(resumed)
 }
 

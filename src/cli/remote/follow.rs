@@ -34,8 +34,8 @@ enum Ended {
 }
 
 /// Whether a service that starts again, or the proxy before it, fails like this.
-fn is_away(fault: &CliError) -> bool {
-    let CliError::Problem(problem) = fault else { return false };
+fn is_away(error: &CliError) -> bool {
+    let CliError::Problem(problem) = error else { return false };
     problem.is(ProblemType::Unreachable) || matches!(problem.status, 502..=504)
 }
 
@@ -114,11 +114,11 @@ impl Follower<'_> {
         loop {
             let (whole, view) = match job::get(self.connection, self.id).await {
                 Ok(found) => found,
-                Err(fault) if is_away(&fault) && answered.elapsed() < MAX_OUTAGE => {
+                Err(error) if is_away(&error) && answered.elapsed() < MAX_OUTAGE => {
                     sleep(PAUSE).await;
                     continue;
                 }
-                Err(fault) => return Err(fault),
+                Err(error) => return Err(error),
             };
             answered = Instant::now();
             if view.state.is_terminal() {

@@ -63,7 +63,7 @@ pub(super) async fn get(connection: &Connection, job: JobId) -> Result<(Value, J
 /// As [`get`], from JSON.
 pub(super) fn read(whole: Value) -> Result<(Value, JobView), CliError> {
     let view = JobView::deserialize(&whole)
-        .map_err(|fault| super::connection::unexpected(format!("its job cannot be read: {fault}")))?;
+        .map_err(|error| super::connection::unexpected(format!("its job cannot be read: {error}")))?;
     Ok((whole, view))
 }
 

@@ -126,7 +126,7 @@ fn table(jobs: &[Value], more: bool) -> Result<String, CliError> {
     let mut text = format!("{:36}  {:9}  {:20}  {:24}  name\n", "id", "state", "created", "progress");
     for job in jobs {
         let row =
-            row(job).map_err(|fault| unexpected(format!("its list of jobs cannot be read: {fault}")))?;
+            row(job).map_err(|error| unexpected(format!("its list of jobs cannot be read: {error}")))?;
         // Most jobs have no name.
         text += row.trim_end();
         text.push('\n');

@@ -70,13 +70,13 @@ impl ServerFlags {
             }
             (None, Some(name)) => {
                 // Not the error's own text, which would show the value.
-                let fault = match env::var(name) {
+                let error = match env::var(name) {
                     Ok(key) if !key.trim().is_empty() => return Ok(Some(key)),
                     Ok(_) => "is empty",
                     Err(VarError::NotPresent) => "is not set",
                     Err(VarError::NotUnicode(_)) => "is not text",
                 };
-                Err(CliError::Usage(format!("--key-env: the variable {name} {fault}")))
+                Err(CliError::Usage(format!("--key-env: the variable {name} {error}")))
             }
             (None, None) => Ok(env::var(DEFAULT_KEY_ENV).ok()),
         }
@@ -121,8 +121,8 @@ fn quoted(text: &str) -> Cow<'_, str> {
 /// Runs a command's requests.
 fn run<T>(work: impl Future<Output = Result<T, CliError>>) -> Result<T, CliError> {
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build();
-    let runtime = runtime.map_err(|fault| {
-        Problem::new(ProblemType::ResourceExhausted, format!("no runtime: {fault}")).with_status(503)
+    let runtime = runtime.map_err(|error| {
+        Problem::new(ProblemType::ResourceExhausted, format!("no runtime: {error}")).with_status(503)
     })?;
     runtime.block_on(work)
 }

@@ -94,8 +94,8 @@ fn part_size(text: &str) -> Result<Bytes, String> {
 }
 
 fn name(text: &str) -> Result<String, String> {
-    let fault = || format!("a name has 1 to {MAX_NAME} characters, none of them a control character");
-    valid_name(text).map(str::to_owned).ok_or_else(fault)
+    let error = || format!("a name has 1 to {MAX_NAME} characters, none of them a control character");
+    valid_name(text).map(str::to_owned).ok_or_else(error)
 }
 
 fn label(text: &str) -> Result<(String, String), String> {
@@ -111,7 +111,7 @@ fn metadata(labels: &[(String, String)]) -> Result<Metadata, CliError> {
             return Err(CliError::Usage(format!("--metadata: '{key}' is given twice")));
         }
     }
-    Metadata::try_from(by_key).map_err(|fault| CliError::Usage(format!("--metadata: {fault}")))
+    Metadata::try_from(by_key).map_err(|error| CliError::Usage(format!("--metadata: {error}")))
 }
 
 /// The fields of the request for a job; those that are left to the service are absent.

@@ -53,7 +53,7 @@ async fn takes_parts(connection: &Connection) -> Result<bool, CliError> {
     match connection.send_with_retry(make).await {
         Ok(answer) => Ok(text(&answer, "tus-version").is_some_and(|versions| versions.contains(VERSION.1))),
         Err(CliError::Problem(problem)) if matches!(problem.status, 404 | 405) => Ok(false),
-        Err(fault) => Err(fault),
+        Err(error) => Err(error),
     }
 }
 
@@ -77,14 +77,14 @@ async fn send_parts(
             .body(part);
         match connection.send(request).await {
             Ok(answer) => (offset, breaks) = (offset_of(&answer)?, 0),
-            Err(fault) if breaks < MAX_BREAKS && is_retryable(&fault) => {
+            Err(error) if breaks < MAX_BREAKS && is_retryable(&error) => {
                 breaks += 1;
                 sleep(PAUSE * breaks).await;
                 let make =
                     async || Ok(connection.request(Method::HEAD, upload)?.header(VERSION.0, VERSION.1));
                 offset = offset_of(&connection.send_with_retry(make).await?)?;
             }
-            Err(fault) => return Err(fault),
+            Err(error) => return Err(error),
         }
     }
     bar.finish_and_clear();
@@ -93,8 +93,8 @@ async fn send_parts(
 
 /// Whether to retry a part: the connection broke, the service was busy or is still writing the part before, or it has another offset or
 /// checksum than the part stated.
-fn is_retryable(fault: &CliError) -> bool {
-    match fault {
+fn is_retryable(error: &CliError) -> bool {
+    match error {
         CliError::Problem(problem) => matches!(problem.status, 408 | 409 | 423 | 429 | 460 | 502..=504),
         CliError::Usage(_) | CliError::Reported { .. } | CliError::Stopped { .. } => false,
     }

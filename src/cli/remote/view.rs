@@ -134,5 +134,5 @@ fn pose_of(text: &str) -> Result<Value, CliError> {
         (text, files::read(text.as_ref())?)
     };
     serde_json::from_slice(&json)
-        .map_err(|fault| Problem::new(ProblemType::ImpossiblePose, fault.to_string()).in_file(source).into())
+        .map_err(|error| Problem::new(ProblemType::ImpossiblePose, error.to_string()).in_file(source).into())
 }

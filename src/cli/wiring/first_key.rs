@@ -51,17 +51,17 @@ impl<'a> FirstKey<'a> {
             ..KeyRequest::default()
         };
         let new = NewKey::of(&key, &SystemRandom, SystemClock.now(), request)
-            .map_err(|fault| unavailable(&fault))?;
-        let created = store.create_first_key(new).await.map_err(|fault| unavailable(&fault))?;
+            .map_err(|error| unavailable(&error))?;
+        let created = store.create_first_key(new).await.map_err(|error| unavailable(&error))?;
         if let Some(record) = created {
             tracing::info!(key = %record.id, "created the first key, an administrator's; it is in {}", file.display());
             return Ok(());
         }
         tracing::info!("another service of this database has created the first key");
-        let known = store.authenticate(key.hash()).await.map_err(|fault| unavailable(&fault))?;
+        let known = store.authenticate(key.hash()).await.map_err(|error| unavailable(&error))?;
         // Services on one machine may share the file, and then the other has taken the key from it.
         if is_drawn && known.is_none() {
-            fs::remove_file(file).map_err(|fault| CliError::unwritable(file, &fault))?;
+            fs::remove_file(file).map_err(|error| CliError::unwritable(file, &error))?;
         }
         Ok(())
     }
@@ -70,32 +70,32 @@ impl<'a> FirstKey<'a> {
 /// The key in the file; `None` if there is no file, or an empty one.
 fn read(path: &Path) -> Result<Option<ApiKey>, CliError> {
     let refused =
-        |fault: &str| CliError::Usage(format!("--bootstrap-admin-key-file: {} {fault}", path.display()));
+        |error: &str| CliError::Usage(format!("--bootstrap-admin-key-file: {} {error}", path.display()));
     let file = match File::open(path) {
         Ok(file) => file,
-        Err(fault) if fault.kind() == io::ErrorKind::NotFound => return Ok(None),
-        Err(fault) => return Err(refused(&format!("cannot be read: {fault}"))),
+        Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(None),
+        Err(error) => return Err(refused(&format!("cannot be read: {error}"))),
     };
     let mut text = String::new();
     let read = file.take(LONGEST).read_to_string(&mut text);
-    read.map_err(|fault| refused(&format!("cannot be read: {fault}")))?;
+    read.map_err(|error| refused(&format!("cannot be read: {error}")))?;
     if text.trim().is_empty() {
         return Ok(None);
     }
     // The error does not repeat what the file holds.
-    text.trim().parse().map(Some).map_err(|fault| refused(&format!("holds no key: {fault}")))
+    text.trim().parse().map(Some).map_err(|error| refused(&format!("holds no key: {error}")))
 }
 
 /// The key in the file, and whether it was drawn: not if another process has written one meanwhile.
 fn write_new(path: &Path) -> Result<(ApiKey, bool), CliError> {
-    let key = ApiKey::generate(&SystemRandom).map_err(|fault| unavailable(&fault))?;
+    let key = ApiKey::generate(&SystemRandom).map_err(|error| unavailable(&error))?;
     match write(path, &key) {
         Ok(()) => Ok((key, true)),
-        Err(fault) if fault.kind() == io::ErrorKind::AlreadyExists => {
-            let found = read(path)?.ok_or_else(|| CliError::unwritable(path, &fault))?;
+        Err(error) if error.kind() == io::ErrorKind::AlreadyExists => {
+            let found = read(path)?.ok_or_else(|| CliError::unwritable(path, &error))?;
             Ok((found, false))
         }
-        Err(fault) => Err(CliError::unwritable(path, &fault)),
+        Err(error) => Err(CliError::unwritable(path, &error)),
     }
 }
 
@@ -108,6 +108,6 @@ fn write(path: &Path, key: &ApiKey) -> io::Result<()> {
     // An empty file is replaced; one that holds a key was written since it was looked for.
     let is_empty = fs::metadata(path).is_ok_and(|found| found.len() == 0);
     let written = if is_empty { staged.persist(path) } else { staged.persist_noclobber(path) };
-    written.map_err(|fault| fault.error)?;
+    written.map_err(|error| error.error)?;
     File::open(folder)?.sync_all()
 }

@@ -49,7 +49,7 @@ pub(crate) fn create_key(
     request: KeyRequest<'_>,
 ) -> Result<(KeyRecord, ApiKey), CliError> {
     let drawn = NewKey::generate(&SystemRandom, SystemClock.now(), request);
-    let (new, key) = drawn.map_err(|fault| CliError::Usage(fault.to_string()))?;
+    let (new, key) = drawn.map_err(|error| CliError::Usage(error.to_string()))?;
     let record = with_new_store(storage, async |store| match store.create_key(new).await {
         Err(StoreError::NoProject(id)) => Ok(Err(id)),
         created => created.map(Ok),
@@ -62,7 +62,7 @@ pub(crate) fn change_key(storage: &Storage, id: KeyId, change: KeyChange) -> Res
     let found = with_store(storage, async |store| store.key(id).await)?;
     let record = found.filter(|key| key.revoked_at.is_none()).ok_or_else(|| no_key(storage, id))?;
     let change =
-        change.checked(&record, SystemClock.now()).map_err(|fault| CliError::Usage(fault.to_string()))?;
+        change.checked(&record, SystemClock.now()).map_err(|error| CliError::Usage(error.to_string()))?;
     let changed = with_store(storage, async |store| store.update_key(id, change).await)?;
     changed.ok_or_else(|| no_key(storage, id))
 }
@@ -108,7 +108,7 @@ pub(crate) fn create_project(
     limits: ProjectLimits,
 ) -> Result<ProjectRecord, CliError> {
     let new = NewProject::generate(&SystemRandom, SystemClock.now(), name, limits);
-    let new = new.map_err(|fault| CliError::Usage(fault.to_string()))?;
+    let new = new.map_err(|error| CliError::Usage(error.to_string()))?;
     with_new_store(storage, async |store| store.create_project(new).await)
 }
 
@@ -121,7 +121,7 @@ pub(crate) fn change_project(
     loop {
         let found = with_store(storage, async |store| store.project(id).await)?;
         let record = found.ok_or_else(|| no_project(storage, id))?;
-        let change = change(&record).checked().map_err(|fault| CliError::Usage(fault.to_string()))?;
+        let change = change(&record).checked().map_err(|error| CliError::Usage(error.to_string()))?;
         let version = Some(record.version);
         match with_store(storage, async |store| store.update_project(id, version, change).await)? {
             None => return Err(no_project(storage, id)),
@@ -177,6 +177,6 @@ fn with_opened<T>(
         let store = open_store(storage, ProjectLimits::default(), OlderSchema::Refuse).await?;
         let outcome = work(&store).await;
         store.close().await;
-        outcome.map_err(|fault| unavailable(&fault))
+        outcome.map_err(|error| unavailable(&error))
     })
 }

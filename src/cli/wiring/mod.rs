@@ -134,11 +134,11 @@ pub(crate) fn high_band_error(
 
 /// Encodes a scene.
 pub(crate) fn encode(scene: &AnchorScene, settings: &EncodeSettings) -> Result<Encoded, Problem> {
-    codec::encode(scene, None, settings).map_err(|fault| match fault {
+    codec::encode(scene, None, settings).map_err(|error| match error {
         EncodeError::Verification | EncodeError::ReadBack(_) => {
-            Problem::new(ProblemType::Internal, fault.to_string())
+            Problem::new(ProblemType::Internal, error.to_string())
         }
-        _ => Problem::new(ProblemType::NotEncodable, fault.to_string()),
+        _ => Problem::new(ProblemType::NotEncodable, error.to_string()),
     })
 }
 
@@ -159,17 +159,17 @@ pub(crate) fn tensors(file: &SceneFile) -> Result<Vec<u8>, Problem> {
 
 /// The anchors in a safetensors file.
 pub(crate) fn anchors(bytes: &[u8]) -> Result<anchors::AnchorFile, Problem> {
-    anchors::read(bytes).map_err(|fault| Problem::new(ProblemType::NotAScene, fault.to_string()))
+    anchors::read(bytes).map_err(|error| Problem::new(ProblemType::NotAScene, error.to_string()))
 }
 
 /// Accounts for every byte of a `.tcgs` file.
 pub(crate) fn inspect(bytes: &[u8]) -> Result<Inspection, Problem> {
-    let inspection = codec::inspect(bytes).map_err(|fault| scene_file::undecodable(fault.to_string()))?;
+    let inspection = codec::inspect(bytes).map_err(|error| scene_file::undecodable(error.to_string()))?;
     Ok(Inspection { json: json(&inspection)?, text: inspection.to_string() })
 }
 
 fn json(value: &impl serde::Serialize) -> Result<serde_json::Value, Problem> {
-    serde_json::to_value(value).map_err(|fault| Problem::new(ProblemType::Internal, fault.to_string()))
+    serde_json::to_value(value).map_err(|error| Problem::new(ProblemType::Internal, error.to_string()))
 }
 
 /// The training pipeline within `memory`, with LPIPS if there are weights; `spill` is the folder of temporary files.
@@ -187,15 +187,15 @@ pub(crate) fn lpips(path: Option<&Path>) -> Result<Option<Lpips>, CliError> {
     let Some(path) = path else { return Ok(None) };
     let bytes = files::read(path)?;
     let lpips = Lpips::from_safetensors(&bytes)
-        .map_err(|fault| Problem::from(fault).in_file(path.display().to_string()))?;
+        .map_err(|error| Problem::from(error).in_file(path.display().to_string()))?;
     Ok(Some(lpips))
 }
 
 /// Checks that `folder` has a valid checkpoint; whether it belongs to the same run is checked on resuming.
 pub(crate) fn check_checkpoint(folder: &Path) -> Result<(), Problem> {
-    CheckpointFolder::load(folder).map(drop).map_err(|fault| match fault {
-        fault @ (CheckpointError::Missing(_) | CheckpointError::Io { .. }) => fault.into(),
-        fault => Problem::from(fault).in_file(folder.display().to_string()),
+    CheckpointFolder::load(folder).map(drop).map_err(|error| match error {
+        error @ (CheckpointError::Missing(_) | CheckpointError::Io { .. }) => error.into(),
+        error => Problem::from(error).in_file(folder.display().to_string()),
     })
 }
 
@@ -245,7 +245,7 @@ pub(crate) fn score(
             })?;
             if let Some(lpips) = lpips {
                 let distance = lpips.distance(&render, &photograph);
-                score.lpips = Some(distance.map_err(|fault| Problem::from(fault).in_file(name))?);
+                score.lpips = Some(distance.map_err(|error| Problem::from(error).in_file(name))?);
             }
             Ok((score, render, photograph))
         },

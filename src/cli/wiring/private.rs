@@ -52,8 +52,8 @@ mod unix {
     fn close_below(folder: &Path) -> usize {
         let entries = match fs::read_dir(folder) {
             Ok(entries) => entries,
-            Err(fault) => {
-                tracing::warn!(path = %folder.display(), error = &fault as &dyn std::error::Error, "cannot be read: {fault}");
+            Err(error) => {
+                tracing::warn!(path = %folder.display(), error = &error as &dyn std::error::Error, "cannot be read: {error}");
                 return 0;
             }
         };
@@ -79,12 +79,12 @@ mod unix {
         match fs::set_permissions(path, fs::Permissions::from_mode(mode & !OTHERS)) {
             Ok(()) => Some(mode),
             // Another process may have removed it meanwhile.
-            Err(fault) if fault.kind() == io::ErrorKind::NotFound => None,
-            Err(fault) => {
+            Err(error) if error.kind() == io::ErrorKind::NotFound => None,
+            Err(error) => {
                 tracing::warn!(
                     path = %path.display(),
-                    error = &fault as &dyn std::error::Error,
-                    "others have access ({mode:04o}), which cannot be changed: {fault}"
+                    error = &error as &dyn std::error::Error,
+                    "others have access ({mode:04o}), which cannot be changed: {error}"
                 );
                 None
             }

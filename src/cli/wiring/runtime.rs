@@ -12,7 +12,7 @@ use crate::cli::{
 };
 
 pub(super) fn runtime() -> Result<Runtime, CliError> {
-    tokio::runtime::Builder::new_multi_thread().enable_all().build().map_err(|fault| unavailable(&fault))
+    tokio::runtime::Builder::new_multi_thread().enable_all().build().map_err(|error| unavailable(&error))
 }
 
 /// Runs a process to its end, and does not wait for blocking tasks that did not end in time: runs, renders, exports, checks. Dropping the
@@ -31,7 +31,7 @@ pub(super) fn stop_on_signals() -> Result<CancellationToken, CliError> {
     let stop = CancellationToken::new();
     let cancel = stop.clone();
     // Registered before the task runs, so that no signal is missed.
-    let mut signals = Signals::listen().map_err(|fault| unavailable(&fault))?;
+    let mut signals = Signals::listen().map_err(|error| unavailable(&error))?;
     tokio::spawn(async move {
         signals.next().await;
         tracing::info!("stopping; another signal ends this at once");
@@ -46,16 +46,16 @@ pub(super) fn stop_on_signals() -> Result<CancellationToken, CliError> {
                 );
                 std::process::exit(status.into());
             }
-            Err(fault) => tracing::warn!(%fault, "a second signal cannot be received"),
+            Err(error) => tracing::warn!(%error, "a second signal cannot be received"),
         }
     });
     Ok(stop)
 }
 
 /// A problem for a missing resource, with the causes of the error.
-pub(super) fn unavailable(fault: &(dyn Error + 'static)) -> CliError {
-    let mut detail = fault.to_string();
-    let mut source = fault.source();
+pub(super) fn unavailable(error: &(dyn Error + 'static)) -> CliError {
+    let mut detail = error.to_string();
+    let mut source = error.source();
     while let Some(cause) = source {
         detail = format!("{detail}: {cause}");
         source = cause.source();
@@ -82,7 +82,7 @@ mod tests {
                 let _ = started.send(());
                 let _ = ended.recv_timeout(Duration::from_secs(60));
             });
-            running.await.map_err(|fault| unavailable(&fault))
+            running.await.map_err(|error| unavailable(&error))
         });
         assert!(outcome.is_ok(), "{outcome:?}");
         assert!(began.elapsed() < Duration::from_secs(30), "it waited for the task");

@@ -108,7 +108,7 @@ pub(crate) fn serve(options: ServeOptions) -> Result<(), CliError> {
         let first_key = options.first_key_file.as_deref().filter(|_| !has_keys);
         let first_key = first_key.map(FirstKey::find).transpose()?;
         let has_keys = has_keys || first_key.is_some();
-        config.check_exposure(has_keys).map_err(|fault| CliError::Usage(format!("--listen: {fault}")))?;
+        config.check_exposure(has_keys).map_err(|error| CliError::Usage(format!("--listen: {error}")))?;
         // Fails here rather than in every worker.
         super::lpips(options.lpips.as_deref())?;
         let roots = webhook_roots(options.webhook_roots.as_deref())?;
@@ -118,7 +118,7 @@ pub(crate) fn serve(options: ServeOptions) -> Result<(), CliError> {
             true => None,
             false => Some(here(&options.adapter, options.view_memory, checker())?),
         };
-        let listeners = http::bind(&config, has_keys).await.map_err(|fault| unavailable(&fault))?;
+        let listeners = http::bind(&config, has_keys).await.map_err(|error| unavailable(&error))?;
         let store = open_store(&options.storage, options.limits, OlderSchema::Migrate).await?;
         if let Some(first_key) = first_key {
             first_key.create(&store).await?;
@@ -128,14 +128,14 @@ pub(crate) fn serve(options: ServeOptions) -> Result<(), CliError> {
         let shutdown = stop_on_signals()?;
         let Rendering { engine, watch } = match here {
             Some(here) => here,
-            None => elsewhere(&store, &shutdown, checker()).await.map_err(|fault| unavailable(&*fault))?,
+            None => elsewhere(&store, &shutdown, checker()).await.map_err(|error| unavailable(&*error))?,
         };
 
         let mut children = supervise::SuperviseConfig::this_program(
             worker_arguments(&options),
             usize::from(options.workers),
         )
-        .map_err(|fault| unavailable(&fault))?;
+        .map_err(|error| unavailable(&error))?;
         children.environment = driver_cache_in(&options.storage.data);
         // Not an argument, which every user of the machine can read: it may hold a password.
         children.environment.extend(options.storage.database.iter().map(database_variable));
@@ -151,7 +151,7 @@ pub(crate) fn serve(options: ServeOptions) -> Result<(), CliError> {
         ));
         let checkpoints = options.storage.data.join(CHECKPOINTS);
         let sender = Sender::new(options.webhook_targets, webhooks::system_lookup(), WEBHOOK_TIMEOUT, &roots)
-            .map_err(|fault| unavailable(&*fault))?;
+            .map_err(|error| unavailable(&*error))?;
         let delivering = tokio::spawn(webhooks::deliver(
             store.clone(),
             sender,
@@ -173,14 +173,14 @@ pub(crate) fn serve(options: ServeOptions) -> Result<(), CliError> {
         tracing::info!(%address, data = %options.storage.data.display(), database = %options.storage, "serving on http://{address}");
         http::serve(listeners, config, services, shutdown).await;
         supervisor.stopped().await;
-        if let Err(fault) = housekeeping.await {
-            tracing::warn!(%fault, "garbage collection stopped early");
+        if let Err(error) = housekeeping.await {
+            tracing::warn!(%error, "garbage collection stopped early");
         }
-        if let Err(fault) = delivering.await {
-            tracing::warn!(%fault, "webhook delivery stopped early");
+        if let Err(error) = delivering.await {
+            tracing::warn!(%error, "webhook delivery stopped early");
         }
-        if let Some(Err(fault)) = OptionFuture::from(watch).await {
-            tracing::warn!(%fault, "the list of viewers was no longer read");
+        if let Some(Err(error)) = OptionFuture::from(watch).await {
+            tracing::warn!(%error, "the list of viewers was no longer read");
         }
         store.close().await;
         Ok(())
@@ -203,7 +203,7 @@ pub(crate) fn worker(options: WorkerOptions) -> Result<(), CliError> {
         let blobs = open_blobs(&options.storage, &store).await?;
         let shutdown = stop_on_signals()?;
         if options.stop_with_parent {
-            worker::stop_when_stdin_closes(shutdown.clone()).map_err(|fault| unavailable(&fault))?;
+            worker::stop_when_stdin_closes(shutdown.clone()).map_err(|error| unavailable(&error))?;
         }
         let checkpoints = Some(options.storage.data.join(CHECKPOINTS));
         // Only a supervisor reads it; other workers are known by their leases.
@@ -211,7 +211,7 @@ pub(crate) fn worker(options: WorkerOptions) -> Result<(), CliError> {
         let config = WorkerConfig { checkpoints, liveness_dir, ..WorkerConfig::from_environment() };
         let outcome = worker::serve(store.clone(), blobs, runner, config, shutdown).await;
         store.close().await;
-        outcome.map_err(|fault| CliError::from(Problem::new(ProblemType::Stalled, fault.to_string())))
+        outcome.map_err(|error| CliError::from(Problem::new(ProblemType::Stalled, error.to_string())))
     })
 }
 
@@ -221,7 +221,7 @@ pub(crate) fn migrate(storage: &Storage) -> Result<SchemaChange, CliError> {
         private_folder(&storage.data)?;
         let migrated =
             Store::migrate(storage.location(), Arc::new(SystemClock), QueuePolicy::default()).await;
-        let (store, change) = migrated.map_err(|fault| unavailable(&fault))?;
+        let (store, change) = migrated.map_err(|error| unavailable(&error))?;
         store.close().await;
         Ok(change)
     })
@@ -247,7 +247,7 @@ pub(super) async fn open_store(
         OlderSchema::Migrate => Store::open(database, clock, policy).await,
         OlderSchema::Refuse => Store::open_current(database, clock, policy).await,
     };
-    store.map(Arc::new).map_err(|fault| unavailable(&fault))
+    store.map(Arc::new).map_err(|error| unavailable(&error))
 }
 
 /// The blobs of a service, in the place that its database knows.
@@ -259,12 +259,12 @@ pub(super) async fn open_blobs(storage: &Storage, store: &Arc<Store>) -> Result<
         };
         Blobs::open_bucket(&storage.data, bucket.connect()?, store.clone()).await
     };
-    opened.await.map_err(|fault| unavailable(&fault))
+    opened.await.map_err(|error| unavailable(&error))
 }
 
 /// Creates the folder and makes it private.
 fn private_folder(data: &Path) -> Result<(), CliError> {
-    private::create(data).map_err(|fault| CliError::unwritable(data, &fault))?;
+    private::create(data).map_err(|error| CliError::unwritable(data, &error))?;
     private::close(data, &["", "-wal", "-shm", ".lock"].map(|suffix| format!("{DATABASE}{suffix}")));
     Ok(())
 }
@@ -273,7 +273,7 @@ fn private_folder(data: &Path) -> Result<(), CliError> {
 fn webhook_roots(path: Option<&Path>) -> Result<ExtraRoots, CliError> {
     let Some(path) = path else { return Ok(ExtraRoots::default()) };
     ExtraRoots::from_pem(&files::read(path)?)
-        .map_err(|fault| CliError::Usage(format!("--webhooks-ca: {} {fault}", path.display())))
+        .map_err(|error| CliError::Usage(format!("--webhooks-ca: {} {error}", path.display())))
 }
 
 /// Whether the database has keys; a missing file is not created, and an older schema not migrated.
@@ -281,7 +281,7 @@ async fn has_keys(storage: &Storage) -> Result<bool, CliError> {
     if storage.file().is_some_and(|file| !file.exists()) {
         return Ok(false);
     }
-    Store::has_keys_in(storage.location(), Arc::new(SystemClock)).await.map_err(|fault| unavailable(&fault))
+    Store::has_keys_in(storage.location(), Arc::new(SystemClock)).await.map_err(|error| unavailable(&error))
 }
 
 /// The environment variables of the drivers' shader cache.
@@ -290,9 +290,9 @@ fn driver_cache_in(data: &Path) -> Vec<(OsString, OsString)> {
     let folder = std::path::absolute(data).unwrap_or_else(|_| data.to_owned()).join(DRIVER_CACHE);
     let environment = driver_cache(&|name| std::env::var_os(name), &folder);
     if !environment.is_empty()
-        && let Err(fault) = fs::create_dir_all(&folder)
+        && let Err(error) = fs::create_dir_all(&folder)
     {
-        tracing::warn!(folder = %folder.display(), "drivers cannot keep compiled kernels: {fault}");
+        tracing::warn!(folder = %folder.display(), "drivers cannot keep compiled kernels: {error}");
     }
     environment
 }

@@ -22,14 +22,14 @@ use crate::cli::{CliError, storage::Storage};
 async fn existing(storage: &Storage) -> Result<Store, CliError> {
     storage.expect_database()?;
     let store = Store::open_current(storage.location(), Arc::new(SystemClock), QueuePolicy::default()).await;
-    store.map_err(|fault| unavailable(&fault))
+    store.map_err(|error| unavailable(&error))
 }
 
 /// Writes a backup of a data folder, whether its service runs or not.
 pub(crate) fn back_up(storage: &Storage, destination: &Path, mode: CopyMode) -> Result<BackupNote, CliError> {
     runtime()?.block_on(async {
         let store = Arc::new(existing(storage).await?);
-        private::create(destination).map_err(|fault| CliError::unwritable(destination, &fault))?;
+        private::create(destination).map_err(|error| CliError::unwritable(destination, &error))?;
         let source = match storage.blobs {
             Some(_) => BlobSource::Store(open_blobs(storage, &store).await?),
             // Only read, so that a backup can be made of a full disk.
@@ -45,9 +45,9 @@ pub(crate) fn back_up(storage: &Storage, destination: &Path, mode: CopyMode) -> 
 pub(crate) fn restore(backup: &Path, storage: &Storage, claim: BucketClaim) -> Result<BackupNote, CliError> {
     let data = &storage.data;
     runtime()?.block_on(async {
-        private::create(data).map_err(|fault| CliError::unwritable(data, &fault))?;
+        private::create(data).map_err(|error| CliError::unwritable(data, &error))?;
         let bucket = storage.blobs.as_ref().map(BucketUrl::connect).transpose();
-        let bucket = bucket.map_err(|fault| unavailable(&fault))?.map(|bucket| (bucket, claim));
+        let bucket = bucket.map_err(|error| unavailable(&error))?.map(|bucket| (bucket, claim));
         restore_backup(backup, data, bucket, Arc::new(SystemClock)).await.map_err(failed)
     })
 }
@@ -59,9 +59,9 @@ pub(crate) fn fsck(storage: &Storage, depth: CheckDepth) -> Result<FsckReport, C
         let blobs = open_blobs(storage, &store).await?;
         let report = check_data_folder(&store, &blobs, depth, SystemClock.now()).await;
         store.close().await;
-        report.map_err(|fault| match fault {
-            GarbageError::Store(fault) => unavailable(&fault),
-            GarbageError::Blobs(fault) => of_files(fault),
+        report.map_err(|error| match error {
+            GarbageError::Store(error) => unavailable(&error),
+            GarbageError::Blobs(error) => of_files(error),
         })
     })
 }
@@ -71,15 +71,15 @@ fn failed(error: BackupError) -> CliError {
         BackupError::NotEmpty(_) | BackupError::BucketInUse => ProblemType::Exists,
         BackupError::Incomplete(_) => ProblemType::UnreadableInput,
         BackupError::Missing { .. } | BackupError::Damaged { .. } => ProblemType::DataDamaged,
-        BackupError::Store(fault) => return unavailable(&fault),
-        BackupError::Blobs(fault) => return of_files(fault),
+        BackupError::Store(error) => return unavailable(&error),
+        BackupError::Blobs(error) => return of_files(error),
     };
     Problem::new(kind, error.to_string()).into()
 }
 
-fn of_files(fault: BlobError) -> CliError {
-    if fault.is_disk_full() {
+fn of_files(error: BlobError) -> CliError {
+    if error.is_disk_full() {
         return Problem::new(ProblemType::UnwritableOutput, "the disk is full").into();
     }
-    unavailable(&fault)
+    unavailable(&error)
 }

@@ -47,10 +47,10 @@ pub(crate) fn viewer(options: ViewerOptions) -> Result<(), CliError> {
     run_until_stopped(async {
         let (views, adapter) = super::views(&options.adapter, options.memory)?;
         let listener = TcpListener::bind(options.listen).await.map_err(|source| {
-            let fault = ServeError::Bind { address: options.listen, source };
-            unavailable(&fault)
+            let error = ServeError::Bind { address: options.listen, source };
+            unavailable(&error)
         })?;
-        let address = listener.local_addr().map_err(|fault| unavailable(&fault))?;
+        let address = listener.local_addr().map_err(|error| unavailable(&error))?;
         let url = match options.advertise {
             Advertised::Url(url) => url.as_str().trim_end_matches('/').to_owned(),
             Advertised::Host(name) => format!("http://{name}:{}", address.port()),
@@ -60,7 +60,7 @@ pub(crate) fn viewer(options: ViewerOptions) -> Result<(), CliError> {
         let store = open_store(&options.storage, ProjectLimits::default(), OlderSchema::Refuse).await?;
         let blobs = open_blobs(&options.storage, &store).await?;
         let shutdown = stop_on_signals()?;
-        let token = ViewerToken::generate(&SystemRandom).map_err(|fault| unavailable(&fault))?;
+        let token = ViewerToken::generate(&SystemRandom).map_err(|error| unavailable(&error))?;
         let record = ViewerRecord {
             url: url.clone(),
             version: env!("CARGO_PKG_VERSION").to_owned(),
@@ -74,8 +74,8 @@ pub(crate) fn viewer(options: ViewerOptions) -> Result<(), CliError> {
         let services = ViewerServices { blobs, engine, token };
         tracing::info!(%address, adapter, "rendering views for replicas at {url}");
         http::serve_viewer(listener, config, ViewerConfig::default(), services, shutdown).await;
-        if let Err(fault) = announced.await {
-            tracing::warn!(%fault, "the viewer's announcement stopped early");
+        if let Err(error) = announced.await {
+            tracing::warn!(%error, "the viewer's announcement stopped early");
         }
         store.close().await;
         Ok(())

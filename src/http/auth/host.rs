@@ -109,8 +109,8 @@ fn parse(text: &str) -> ApiResult<Host> {
     Host::parse(text).ok_or_else(|| invalid("is not a name or address with or without a port"))
 }
 
-fn invalid(fault: &str) -> ProblemResponse {
-    ProblemType::InvalidHeader.because(format!("Host: {fault}"))
+fn invalid(error: &str) -> ProblemResponse {
+    ProblemType::InvalidHeader.because(format!("Host: {error}"))
 }
 
 /// The value of a header; if there are several, or it is not ASCII, a text that matches nothing.

@@ -67,8 +67,8 @@ pub(super) async fn authenticate(
     } else {
         state.auth_mode.allows_anonymous().await
     };
-    if let Err(fault) = admit_page(&mut request, &open, &credentials) {
-        return fault.into_response();
+    if let Err(error) = admit_page(&mut request, &open, &credentials) {
+        return error.into_response();
     }
     if is_open_to_all {
         return next.run(request).await;
@@ -76,7 +76,7 @@ pub(super) async fn authenticate(
     let client = ClientInfo::of(&request, &state.limits.access.trusted_proxies);
     let caller = match admit(&state, open, credentials, needed, &client).await {
         Ok(caller) => caller,
-        Err(fault) => return fault.into_response(),
+        Err(error) => return error.into_response(),
     };
     if needed.is_some() {
         request.extensions_mut().insert(caller);
@@ -124,7 +124,7 @@ pub(super) async fn admit_without_keys(
     });
     match admitted {
         Ok(_) => next.run(request).await,
-        Err(fault) => fault.into_response(),
+        Err(error) => error.into_response(),
     }
 }
 
@@ -215,8 +215,8 @@ async fn admit(
         return Ok(Caller::ANONYMOUS);
     }
     let reads = client.reads;
-    let fail = |fault: ProblemResponse| match state.throttle.failure(client.address) {
-        Ok(()) => fault,
+    let fail = |error: ProblemResponse| match state.throttle.failure(client.address) {
+        Ok(()) => error,
         Err(wait) => too_many_failures(reads, wait),
     };
     let key = match credentials {
@@ -268,15 +268,15 @@ fn no_key(reads: bool) -> ProblemResponse {
 
 fn bad_key(reads: bool) -> ProblemResponse {
     let detail = "the Authorization header holds no key that this service knows: it is mistyped, revoked, expired or another service's";
-    let fault = ProblemType::InvalidKey.because(detail);
-    challenge(reads, fault, BEARER_INVALID)
+    let error = ProblemType::InvalidKey.because(detail);
+    challenge(reads, error, BEARER_INVALID)
 }
 
 fn not_by_basic() -> ProblemResponse {
     let detail =
         "HTTP Basic is taken for GET and HEAD only; send the key as 'Authorization: Bearer tcgs_...'";
-    let fault = ProblemType::BearerNeeded.because(detail);
-    challenge(false, fault, BEARER)
+    let error = ProblemType::BearerNeeded.because(detail);
+    challenge(false, error, BEARER)
 }
 
 const BEARER: &str = "Bearer realm=\"tcgs\"";
@@ -284,9 +284,9 @@ const BEARER_INVALID: &str = "Bearer realm=\"tcgs\", error=\"invalid_token\"";
 const BASIC: &str = "Basic realm=\"tcgs\"";
 
 /// Adds the accepted authentication schemes; Basic, for which a browser asks its user, only for reads.
-fn challenge(reads: bool, fault: ProblemResponse, bearer: &'static str) -> ProblemResponse {
-    let fault = fault.with_header(header::WWW_AUTHENTICATE, HeaderValue::from_static(bearer));
-    if reads { fault.with_header(header::WWW_AUTHENTICATE, HeaderValue::from_static(BASIC)) } else { fault }
+fn challenge(reads: bool, error: ProblemResponse, bearer: &'static str) -> ProblemResponse {
+    let error = error.with_header(header::WWW_AUTHENTICATE, HeaderValue::from_static(bearer));
+    if reads { error.with_header(header::WWW_AUTHENTICATE, HeaderValue::from_static(BASIC)) } else { error }
 }
 
 fn out_of_scope(key: &KeyRecord, scope: Scope) -> ProblemResponse {
@@ -316,8 +316,8 @@ fn too_many_requests(key: &KeyRecord, wait: Wait) -> ProblemResponse {
 fn too_many_failures(reads: bool, wait: Wait) -> ProblemResponse {
     let detail =
         "too many requests without a valid key came from this address; send one with a valid key, or wait";
-    let fault = ProblemType::TooManyFailures.because(detail);
-    challenge(reads, fault.with_header(header::RETRY_AFTER, wait.seconds().into()), BEARER)
+    let error = ProblemType::TooManyFailures.because(detail);
+    challenge(reads, error.with_header(header::RETRY_AFTER, wait.seconds().into()), BEARER)
 }
 
 #[cfg(test)]

@@ -28,13 +28,13 @@ use crate::{
 #[derive(Debug)]
 pub(crate) struct ReceivedDataset {
     blob: BlobRef,
-    content: Content,
+    content: ReceivedContent,
     /// Its space; that of an upload is kept by the upload's row.
     reservation: Option<Reservation>,
 }
 
 #[derive(Debug)]
-enum Content {
+enum ReceivedContent {
     Staged(StagedBlob),
     /// The project has it already.
     Known(Published, BlobCopy),
@@ -72,12 +72,12 @@ impl Sink {
             Ok(reservation) => {
                 Ok(Self::Disk(state.blobs().stage(state.limits.upload_bytes).await?, reservation))
             }
-            Err(ReservationError::Quota(fault)) => {
+            Err(ReservationError::Quota(error)) => {
                 let largest = state.store().largest_dataset(project).await?;
                 if announced > largest {
-                    return Err(fault);
+                    return Err(error);
                 }
-                Ok(Self::Hash(ContentHasher::new(largest), fault))
+                Ok(Self::Hash(ContentHasher::new(largest), error))
             }
             Err(refusal) => Err(refusal.into()),
         }
@@ -93,22 +93,22 @@ impl Sink {
                         reservation.wrote(length);
                         Ok(Self::Disk(staging, reservation))
                     }
-                    Err(ReservationError::Quota(fault)) => {
+                    Err(ReservationError::Quota(error)) => {
                         let largest = state.store().largest_dataset(project).await?;
                         let content = staging.into_hasher(largest).await?;
-                        Self::hash(content, piece, fault)
+                        Self::hash(content, piece, error)
                     }
                     Err(refusal) => Err(refusal.into()),
                 }
             }
-            Self::Hash(content, fault) => Self::hash(content, piece, fault),
+            Self::Hash(content, error) => Self::hash(content, piece, error),
         }
     }
 
-    fn hash(mut content: ContentHasher, piece: &[u8], fault: ProblemResponse) -> ApiResult<Self> {
+    fn hash(mut content: ContentHasher, piece: &[u8], error: ProblemResponse) -> ApiResult<Self> {
         match content.update(piece) {
-            Ok(()) => Ok(Self::Hash(content, fault)),
-            Err(_) => Err(fault),
+            Ok(()) => Ok(Self::Hash(content, error)),
+            Err(_) => Err(error),
         }
     }
 
@@ -119,19 +119,23 @@ impl Sink {
                 reservation.settle();
                 Ok(ReceivedDataset {
                     blob: staged.blob(),
-                    content: Content::Staged(staged),
+                    content: ReceivedContent::Staged(staged),
                     reservation: Some(reservation),
                 })
             }
-            Self::Hash(content, fault) => {
+            Self::Hash(content, error) => {
                 let known = state.store().owned_archive(project, content.finish().digest).await?;
                 let there = match known {
                     Some(blob) => state.blobs().republish(blob).await?,
                     None => None,
                 };
-                let (published, copy) = there.ok_or(fault)?;
+                let (published, copy) = there.ok_or(error)?;
                 let blob = published.blob;
-                Ok(ReceivedDataset { blob, content: Content::Known(published, copy), reservation: None })
+                Ok(ReceivedDataset {
+                    blob,
+                    content: ReceivedContent::Known(published, copy),
+                    reservation: None,
+                })
             }
         }
     }
@@ -140,7 +144,7 @@ impl Sink {
 impl ReceivedDataset {
     /// The dataset of a finished upload.
     pub(super) fn of_upload(staged: StagedBlob) -> Self {
-        Self { blob: staged.blob(), content: Content::Staged(staged), reservation: None }
+        Self { blob: staged.blob(), content: ReceivedContent::Staged(staged), reservation: None }
     }
 
     pub(crate) fn blob(&self) -> BlobRef {
@@ -170,8 +174,8 @@ impl ReceivedDataset {
     /// The file with the content.
     fn path(&self) -> &Path {
         match &self.content {
-            Content::Staged(staged) => staged.path(),
-            Content::Known(_, copy) => copy.path(),
+            ReceivedContent::Staged(staged) => staged.path(),
+            ReceivedContent::Known(_, copy) => copy.path(),
         }
     }
 
@@ -189,8 +193,8 @@ impl ReceivedDataset {
         let keeping = async move {
             let Self { content, reservation, .. } = self;
             let published = match &content {
-                Content::Staged(staged) => state.blobs().publish(staged).await?,
-                Content::Known(published, _) => *published,
+                ReceivedContent::Staged(staged) => state.blobs().publish(staged).await?,
+                ReceivedContent::Known(published, _) => *published,
             };
             let referred = refer.await;
             if referred.as_ref().is_err_and(StoreError::has_written_nothing) {

@@ -98,9 +98,9 @@ pub(crate) async fn serve(state: &AppState, method: &Method, request: &HeaderMap
 }
 
 fn unsatisfiable(length: u64) -> ProblemResponse {
-    let fault = ProblemType::RangeNotSatisfiable.because(format!("the file has {length} bytes"));
+    let error = ProblemType::RangeNotSatisfiable.because(format!("the file has {length} bytes"));
     match HeaderValue::try_from(format!("bytes */{length}")) {
-        Ok(value) => fault.with_header(header::CONTENT_RANGE, value),
-        Err(_) => fault,
+        Ok(value) => error.with_header(header::CONTENT_RANGE, value),
+        Err(_) => error,
     }
 }

@@ -66,7 +66,7 @@ pub(crate) async fn retry(
     let guard = request.begin()?;
     let job = match find(&state, caller, &id).await {
         // What an earlier request with the same key made is answered also if the job has been deleted since.
-        Err(fault) if guard.is_none() => return Err(fault),
+        Err(error) if guard.is_none() => return Err(error),
         found => found,
     };
     let content = read_optional_json(&mut body.into_data_stream(), &headers, &state.limits).await?;

@@ -82,16 +82,16 @@ impl CreateJobRequest {
 
     fn validated(self) -> ApiResult<Self> {
         if !(-MAX_PRIORITY..=MAX_PRIORITY).contains(&self.priority) {
-            let fault = format!("{} is outside -{MAX_PRIORITY}..={MAX_PRIORITY}", self.priority);
-            return Err(ProblemResponse::parameter("priority", fault));
+            let error = format!("{} is outside -{MAX_PRIORITY}..={MAX_PRIORITY}", self.priority);
+            return Err(ProblemResponse::parameter("priority", error));
         }
         if let Some(seconds) = self.deadline_s {
             check_deadline(seconds)?;
         }
         let seed = self.options.seed;
         if seed > MAX_SEED {
-            let fault = OptionError { option: "seed", fault: format!("{seed} is outside 0..={MAX_SEED}") };
-            return Err(invalid_option(&fault));
+            let error = OptionError { option: "seed", error: format!("{seed} is outside 0..={MAX_SEED}") };
+            return Err(invalid_option(&error));
         }
         Ok(Self { options: self.options.validated().map_err(|error| invalid_option(&error))?, ..self })
     }
@@ -99,8 +99,8 @@ impl CreateJobRequest {
 
 /// The name of a job.
 fn job_name(name: &str) -> ApiResult<String> {
-    let fault = || format!("has 1 to {MAX_NAME} characters, none of them a control character");
-    valid_name(name).map(str::to_owned).ok_or_else(|| ProblemResponse::parameter("name", fault()))
+    let error = || format!("has 1 to {MAX_NAME} characters, none of them a control character");
+    valid_name(name).map(str::to_owned).ok_or_else(|| ProblemResponse::parameter("name", error()))
 }
 
 /// Takes the labels of a query string, `metadata[KEY]=VALUE` each.
@@ -178,7 +178,7 @@ mod tests {
     fn read(mut fields: Value) -> Result<CreateJobRequest, String> {
         fields["scene_id"] = json!(SCENE);
         let read = CreateJobRequest::from_json(&serde_json::to_vec(&fields).expect("JSON"));
-        read.map(|(_, request)| request).map_err(|fault| format!("{fault:?}"))
+        read.map(|(_, request)| request).map_err(|error| format!("{error:?}"))
     }
 
     #[test]
@@ -186,7 +186,7 @@ mod tests {
         let other = SCENE.replace('1', "2");
         let named = |fields: Value| {
             let read = CreateJobRequest::from_json(&serde_json::to_vec(&fields).expect("JSON"));
-            read.map(|(dataset, _)| dataset.to_string()).map_err(|fault| format!("{fault:?}"))
+            read.map(|(dataset, _)| dataset.to_string()).map_err(|error| format!("{error:?}"))
         };
         for fields in [
             json!({ "dataset_id": SCENE }),
@@ -232,10 +232,10 @@ mod tests {
     fn who_mistypes_a_name_is_told_which_there_are() {
         let query = Parameters::parse(Some("iteratons=7")).expect("a query");
         let query = CreateJobRequest::from_query(query).expect_err("no such option");
-        for fault in [format!("{query:?}"), read(json!({ "iteratons": 7 })).expect_err("no such option")] {
+        for error in [format!("{query:?}"), read(json!({ "iteratons": 7 })).expect_err("no such option")] {
             for named in ["iteratons: is not", "deadline_s, name, metadata, preset, iterations,", "rd_curve"]
             {
-                assert!(fault.contains(named), "{fault}");
+                assert!(error.contains(named), "{error}");
             }
         }
         let long = read(json!({ "x".repeat(5000): 1 })).expect_err("no such option");
@@ -250,8 +250,8 @@ mod tests {
             (9_007_199_254_740_991, (1_u64 << f64::MANTISSA_DIGITS) - 1)
         );
         let query = Parameters::parse(Some("seed=18446744073709551615")).expect("a query");
-        let fault = format!("{:?}", CreateJobRequest::from_query(query).expect_err("too large"));
-        assert!(fault.contains("seed: 18446744073709551615 is outside 0..=9007199254740991"), "{fault}");
+        let error = format!("{:?}", CreateJobRequest::from_query(query).expect_err("too large"));
+        assert!(error.contains("seed: 18446744073709551615 is outside 0..=9007199254740991"), "{error}");
     }
 
     #[test]
@@ -277,8 +277,8 @@ mod tests {
             (json!({ "deadline_s": 1e12 }), "deadline_s"),
             (json!({ "deadline_s": MAX_DEADLINE + 1 }), "deadline_s"),
         ] {
-            let fault = read(fields.clone()).expect_err("impossible");
-            assert!(fault.contains(&format!("{named}:")), "{fields}: {fault}");
+            let error = read(fields.clone()).expect_err("impossible");
+            assert!(error.contains(&format!("{named}:")), "{fields}: {error}");
         }
     }
 }

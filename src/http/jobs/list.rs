@@ -56,7 +56,7 @@ fn take_dataset(parameters: &mut Parameters) -> ApiResult<Option<DatasetId>> {
 
 fn parse_states(text: &str) -> ApiResult<Vec<JobState>> {
     text.split(',')
-        .map(|state| state.parse().map_err(|fault: String| ProblemResponse::parameter("state", fault)))
+        .map(|state| state.parse().map_err(|error: String| ProblemResponse::parameter("state", error)))
         .collect()
 }
 

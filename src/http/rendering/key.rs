@@ -26,18 +26,18 @@ pub(crate) struct FrameSpec {
 
 /// A picture and what renders it.
 #[derive(Clone)]
-pub(crate) struct Frame {
+pub(crate) struct RenderFrame {
     pub(crate) spec: FrameSpec,
     pub(crate) renderer: Arc<dyn RenderViews>,
 }
 
-impl fmt::Debug for Frame {
+impl fmt::Debug for RenderFrame {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.debug_struct("Frame").field("spec", &self.spec).finish_non_exhaustive()
     }
 }
 
-impl Frame {
+impl RenderFrame {
     pub(crate) fn key(&self) -> ViewKey {
         ViewKey::new(&self.renderer.identity(), &self.spec)
     }

@@ -8,7 +8,7 @@ mod queue;
 mod view_renderer;
 
 pub(super) use self::{
-    key::{Frame, FrameSpec, ViewKey},
+    key::{FrameSpec, RenderFrame, ViewKey},
     picture::{Format, Output, Picture, PictureKind, SettingError},
     queue::{Admission, QueueSlot},
     view_renderer::{Timing, ViewRenderer, failed},

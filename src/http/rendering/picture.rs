@@ -80,11 +80,11 @@ impl PictureKind {
         };
         let format = format.unwrap_or(default);
         if !possible.contains(&format) {
-            let fault = match output {
+            let error = match output {
                 Output::Color => "npy is for output=depth and output=alpha".to_owned(),
                 _ => format!("{} is written as png or npy only", output.name()),
             };
-            return Err(("format", fault));
+            return Err(("format", error));
         }
         let quality = match (format, quality) {
             (Format::Jpeg, None) => JPEG_QUALITY,

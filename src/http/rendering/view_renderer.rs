@@ -14,7 +14,7 @@ use quick_cache::{OptionsBuilder, Weighter, sync::Cache};
 use tokio::{runtime::Handle, sync::Semaphore, task::spawn_blocking};
 
 use super::{
-    key::{Frame, ViewKey},
+    key::{RenderFrame, ViewKey},
     picture::{Output, Picture, Rendered},
     queue::{Admission, AdmissionError, QueueLimits, QueueSlot, RenderPermit, RenderQueue},
 };
@@ -149,7 +149,7 @@ impl ViewRenderer {
     pub(crate) async fn picture(
         &self,
         slot: &QueueSlot,
-        frame: Frame,
+        frame: RenderFrame,
         on_rendered: impl FnOnce() + Send + 'static,
     ) -> ApiResult<(Picture, Timing)> {
         let (key, kind) = (frame.key(), frame.spec.kind);
@@ -178,7 +178,7 @@ impl ViewRenderer {
     async fn render_with_permit<T: Send + 'static>(
         &self,
         permit: RenderPermit,
-        frame: Frame,
+        frame: RenderFrame,
         finish: impl FnOnce(Rendered, Timing) -> Result<T, Problem> + Send + 'static,
     ) -> ApiResult<T> {
         let this = self.clone();
@@ -198,8 +198,8 @@ impl ViewRenderer {
     }
 }
 
-fn render(services: &Services, runtime: &Handle, frame: &Frame) -> Result<(Rendered, Timing), Problem> {
-    let Frame { spec, renderer } = frame;
+fn render(services: &Services, runtime: &Handle, frame: &RenderFrame) -> Result<(Rendered, Timing), Problem> {
+    let RenderFrame { spec, renderer } = frame;
     let loaded = std::cell::Cell::new(Duration::ZERO);
     let load = || -> Result<Viewable, Problem> {
         let began = Instant::now();

@@ -192,7 +192,7 @@ impl<'a> Pieces<'a> {
             Ok(Ok(None)) => Ok(None),
             Ok(Ok(Some(Ok(piece)))) => {
                 self.received += piece.len() as u64;
-                if self.dribbles() { Err(self.too_slow()) } else { Ok(Some(piece)) }
+                if self.is_too_slow() { Err(self.too_slow()) } else { Ok(Some(piece)) }
             }
             Ok(Ok(Some(Err(error)))) => Err(ProblemType::BodyIncomplete
                 .because(format!("the body could not be read to its end: {error}"))),
@@ -201,7 +201,7 @@ impl<'a> Pieces<'a> {
     }
 
     /// Whether the body is too slow on average although no piece was late, as from a client that means to hold its place.
-    fn dribbles(&self) -> bool {
+    fn is_too_slow(&self) -> bool {
         let elapsed = self.begun.elapsed();
         elapsed > self.idle && (self.received as f64) < self.rate as f64 * elapsed.as_secs_f64()
     }
@@ -271,8 +271,8 @@ mod tests {
             ("[1", ProblemType::MalformedJson),
             ("{\"first\": -1}", ProblemType::InvalidParameter),
         ] {
-            let fault = parse_json::<Pair>(content.as_bytes()).expect_err("no pair").into_problem();
-            assert_eq!(fault.kind, Problem::new(expected, "").kind, "{content}");
+            let error = parse_json::<Pair>(content.as_bytes()).expect_err("no pair").into_problem();
+            assert_eq!(error.kind, Problem::new(expected, "").kind, "{content}");
         }
         parse_json::<Pair>(b" {\"first\": 1}").expect("a pair");
     }
@@ -285,15 +285,15 @@ mod tests {
             ..RequestLimits::default()
         };
         let mut body = Body::empty().into_data_stream();
-        let mut dribbles = |lasted: u64, received: u64| {
+        let mut is_too_slow = |lasted: u64, received: u64| {
             let mut pieces = Pieces::new(&mut body, &limits);
             pieces.begun = Instant::now().checked_sub(Duration::from_secs(lasted)).expect("an instant");
             pieces.received = received;
-            pieces.dribbles()
+            pieces.is_too_slow()
         };
-        assert!(!dribbles(30, 0), "a pause is allowed");
-        assert!(!dribbles(600, 1 << 20));
-        assert!(dribbles(600, 50_000));
+        assert!(!is_too_slow(30, 0), "a pause is allowed");
+        assert!(!is_too_slow(600, 1 << 20));
+        assert!(is_too_slow(600, 50_000));
     }
 
     #[tokio::test]
@@ -306,8 +306,8 @@ mod tests {
         let mut body =
             Body::from_stream(stream::pending::<Result<Bytes, std::io::Error>>()).into_data_stream();
         let mut pieces = Pieces::new(&mut body, &limits);
-        let fault = timeout(Duration::from_secs(60), pieces.next()).await.expect("given up");
-        let fault = fault.expect_err("too slow").into_problem();
-        assert_eq!(fault.kind, Problem::new(ProblemType::BodyTimeout, "").kind);
+        let error = timeout(Duration::from_secs(60), pieces.next()).await.expect("given up");
+        let error = error.expect_err("too slow").into_problem();
+        assert_eq!(error.kind, Problem::new(ProblemType::BodyTimeout, "").kind);
     }
 }

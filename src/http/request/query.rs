@@ -51,8 +51,8 @@ impl Parameters {
     /// The value of a parameter; `expected` completes "is not ...".
     pub(crate) fn take_as<T: FromStr>(&mut self, name: &str, expected: &str) -> ApiResult<Option<T>> {
         let Some(text) = self.take(name) else { return Ok(None) };
-        let fault = |_| ProblemResponse::parameter(name, format!("'{text}' is not {expected}"));
-        text.trim().parse().map(Some).map_err(fault)
+        let error = |_| ProblemResponse::parameter(name, format!("'{text}' is not {expected}"));
+        text.trim().parse().map(Some).map_err(error)
     }
 
     /// A whole number from 1 to `max`, or `default`.

@@ -40,7 +40,7 @@ pub(crate) async fn readyz(State(state): State<AppState>) -> ApiResult {
     let faults: Vec<String> = checks
         .iter()
         .filter(|(_, found)| *found != OK)
-        .map(|(name, fault)| format!("{name}: {fault}"))
+        .map(|(name, error)| format!("{name}: {error}"))
         .collect();
     if !faults.is_empty() {
         let mut problem = Problem::new(ProblemType::NotReady, faults.join("; "));

@@ -145,8 +145,8 @@ mod tests {
                 sleep(LONG).await;
                 drop(client);
             });
-            let fault = guarded.write_all(&vec![0; 1 << 20]).await.expect_err("too slow");
-            assert_eq!(fault.kind(), io::ErrorKind::TimedOut);
+            let error = guarded.write_all(&vec![0; 1 << 20]).await.expect_err("too slow");
+            assert_eq!(error.kind(), io::ErrorKind::TimedOut);
             reading.abort();
         }
     }
@@ -163,8 +163,8 @@ mod tests {
                 assert_ne!(guarded.write_vectored(&pieces).await?, 0, "the stream stays open");
             }
         };
-        let fault: io::Result<()> = timeout(Duration::from_secs(60), sending).await.expect("given up");
-        assert_eq!(fault.expect_err("too slow").kind(), io::ErrorKind::TimedOut);
+        let error: io::Result<()> = timeout(Duration::from_secs(60), sending).await.expect("given up");
+        assert_eq!(error.expect_err("too slow").kind(), io::ErrorKind::TimedOut);
         drop(client);
     }
 

@@ -51,7 +51,7 @@ pub(crate) enum ReservationError {
 impl From<ReservationError> for ProblemResponse {
     fn from(refusal: ReservationError) -> Self {
         match refusal {
-            ReservationError::Quota(fault) | ReservationError::Other(fault) => fault,
+            ReservationError::Quota(error) | ReservationError::Other(error) => error,
         }
     }
 }

@@ -63,8 +63,8 @@ pub(crate) fn expect_version(headers: &HeaderMap) -> ApiResult<()> {
 }
 
 /// 400 about one header.
-fn bad_header(name: &HeaderName, fault: impl std::fmt::Display) -> ProblemResponse {
-    ProblemType::InvalidHeader.because(format!("{name}: {fault}"))
+fn bad_header(name: &HeaderName, error: impl std::fmt::Display) -> ProblemResponse {
+    ProblemType::InvalidHeader.because(format!("{name}: {error}"))
 }
 
 /// A count of bytes: decimal digits and nothing else.
@@ -128,7 +128,7 @@ impl Metadata {
         if text.trim().is_empty() {
             return Ok(None);
         }
-        Self::parse(text).map(Some).map_err(|fault| bad_header(&METADATA, fault))
+        Self::parse(text).map(Some).map_err(|error| bad_header(&METADATA, error))
     }
 
     pub(crate) fn parse(text: &str) -> Result<Self, String> {
@@ -177,7 +177,7 @@ impl Checksum {
     /// Reads `Upload-Checksum`, if it is there.
     pub(crate) fn of(headers: &HeaderMap) -> ApiResult<Option<Self>> {
         let Some(value) = headers.get(CHECKSUM) else { return Ok(None) };
-        let bad = |fault: &str| bad_header(&CHECKSUM, fault);
+        let bad = |error: &str| bad_header(&CHECKSUM, error);
         let (algorithm, sum) = value
             .to_str()
             .ok()

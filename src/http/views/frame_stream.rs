@@ -29,7 +29,7 @@ use crate::{
     http::{
         auth::revocation::revoked,
         problem::ApiResult,
-        rendering::{Frame, Picture, QueueSlot, ViewKey, failed},
+        rendering::{Picture, QueueSlot, RenderFrame, ViewKey, failed},
         state::AppState,
     },
     picture::Apng,
@@ -42,7 +42,7 @@ const MAX_AHEAD: usize = 4;
 #[derive(Debug)]
 pub(super) struct FrameStream {
     /// One round of it.
-    pub(super) frames: Vec<Frame>,
+    pub(super) frames: Vec<RenderFrame>,
     pub(super) rounds: u32,
     /// Time between pictures; as fast as possible if `None`.
     pub(super) every: Option<Duration>,
@@ -140,7 +140,7 @@ impl FrameStream {
             let mut receiver = receiver?;
             match next_bytes(&mut receiver).await {
                 Ok(bytes) => bytes.map(|bytes| (Ok(bytes), Some(receiver))),
-                Err(fault) => Some((Err(fault), None)),
+                Err(error) => Some((Err(error), None)),
             }
         });
         Ok(([(header::CONTENT_TYPE, media_type)], Body::from_stream(body)).into_response())
@@ -148,7 +148,7 @@ impl FrameStream {
 
     /// The key of the whole stream in a format.
     pub(super) fn key(&self, how: &str) -> ViewKey {
-        ViewKey::of_many(self.frames.iter().map(Frame::key), how)
+        ViewKey::of_many(self.frames.iter().map(RenderFrame::key), how)
     }
 
     /// Number of pictures in all rounds.
@@ -185,8 +185,8 @@ async fn next_bytes(receiver: &mut Receiver<Piece>) -> io::Result<Option<Bytes>>
         Some(Piece::First(bytes)) => Ok(Some(bytes)),
         Some(Piece::Started(index, piece)) => match piece.await {
             Ok(Ok(bytes)) => Ok(Some(bytes)),
-            fault => {
-                tracing::warn!("broken off after {index} pictures: {fault:?}");
+            error => {
+                tracing::warn!("broken off after {index} pictures: {error:?}");
                 Err(unexpected_end())
             }
         },

@@ -22,7 +22,9 @@ use super::{
     files::{file_of, take_lambda},
     jobs::OwnedJob,
     problem::{Answer as _, ApiResult, ProblemResponse},
-    rendering::{Admission, Format, Frame, FrameSpec, Output, Picture, PictureKind, SettingError, Timing},
+    rendering::{
+        Admission, Format, FrameSpec, Output, Picture, PictureKind, RenderFrame, SettingError, Timing,
+    },
     request::{ApiJson, Etag, JsonBody, Parameters, not_modified},
     state::AppState,
 };
@@ -120,7 +122,7 @@ pub(super) async fn post(
 }
 
 /// A response with one picture.
-async fn single(state: &AppState, caller: &Caller, frame: Frame) -> ApiResult {
+async fn single(state: &AppState, caller: &Caller, frame: RenderFrame) -> ApiResult {
     let (picture, timing) = match state.view_renderer.cached(frame.key()) {
         Some(found) => found,
         None => {
@@ -156,12 +158,12 @@ fn take_kind(parameters: &mut Parameters, default: Format) -> ApiResult<PictureK
     let output = parameters.take_as("output", "one of color, depth, alpha")?;
     let format = parameters.take_as("format", "one of png, jpeg, webp, npy")?;
     let quality = parameters.take_as("quality", "a whole number from 1 to 100")?;
-    let fault = |(name, fault): SettingError| ProblemResponse::parameter(name, fault);
-    PictureKind::new(output, format, quality, default).map_err(fault)
+    let error = |(name, error): SettingError| ProblemResponse::parameter(name, error);
+    PictureKind::new(output, format, quality, default).map_err(error)
 }
 
-fn bad_field((name, fault): SettingError) -> ProblemResponse {
-    invalid_view(format!("{name}: {fault}"))
+fn bad_field((name, error): SettingError) -> ProblemResponse {
+    invalid_view(format!("{name}: {error}"))
 }
 
 /// The cameras of a JSON list; errors name the list and the index.
@@ -180,8 +182,8 @@ async fn cameras(state: &AppState, record: &JobRecord, specs: Vec<CameraSpec>) -
 }
 
 async fn dataset_cameras(state: &AppState, record: &JobRecord) -> ApiResult<Vec<NamedCamera>> {
-    let fault = || ProblemResponse::no_file_yet(record.job.id, record.job.state.name());
-    let blob = record.artifact(ArtifactKind::Cameras).ok_or_else(fault)?;
+    let error = || ProblemResponse::no_file_yet(record.job.id, record.job.state.name());
+    let blob = record.artifact(ArtifactKind::Cameras).ok_or_else(error)?;
     let content = state.blobs().read(blob.digest).await?;
     serde_json::from_slice(&content).map_err(|error| ProblemResponse::internal(&error))
 }
@@ -193,7 +195,7 @@ fn frames(
     lambda: Option<f64>,
     cameras: &[Camera],
     kind: PictureKind,
-) -> ApiResult<Vec<Frame>> {
+) -> ApiResult<Vec<RenderFrame>> {
     check_size(cameras, &state.limits)?;
     frames_of_any_size(state, record, lambda, cameras, kind)
 }
@@ -204,11 +206,11 @@ fn frames_of_any_size(
     lambda: Option<f64>,
     cameras: &[Camera],
     kind: PictureKind,
-) -> ApiResult<Vec<Frame>> {
+) -> ApiResult<Vec<RenderFrame>> {
     let artifact = file_of(record, lambda)?.blob.digest;
     let renderer = state.services.engine.renderer(artifact)?;
     let spec = |&camera| FrameSpec { artifact, camera, kind };
-    Ok(cameras.iter().map(spec).map(|spec| Frame { spec, renderer: Arc::clone(&renderer) }).collect())
+    Ok(cameras.iter().map(spec).map(|spec| RenderFrame { spec, renderer: Arc::clone(&renderer) }).collect())
 }
 
 /// Checks the limits of one request: pixels of a side, and pixels of all pictures together.

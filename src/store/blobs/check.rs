@@ -11,7 +11,7 @@ use object_store::GetOptions;
 use tokio::fs::File;
 use tokio_util::io::ReaderStream;
 
-use super::{BlobError, Blobs, ContentHasher, Keeper, files::if_there, location};
+use super::{BlobBackend, BlobError, Blobs, ContentHasher, files::if_there, location};
 use crate::{domain::Digest, store::BlobRef};
 
 /// Bytes read at a time.
@@ -105,8 +105,8 @@ impl Blobs {
     /// The blob's own file, whether it is there or not; `None` if blobs are no files.
     fn file(&self, digest: Digest) -> Option<PathBuf> {
         match &self.0.keeper {
-            Keeper::Folder(folder) => folder.path(digest).ok(),
-            Keeper::Bucket(_) => None,
+            BlobBackend::Folder(folder) => folder.path(digest).ok(),
+            BlobBackend::Bucket(_) => None,
         }
     }
 
@@ -116,8 +116,8 @@ impl Blobs {
     /// [`BlobError`] if it cannot be read for another reason than its absence.
     pub async fn check(&self, blob: BlobRef, depth: CheckDepth) -> Result<BlobState, BlobError> {
         let found = match &self.0.keeper {
-            Keeper::Folder(folder) => length(&folder.path(blob.digest)?).await?,
-            Keeper::Bucket(bucket) => bucket.length(blob.digest).await?,
+            BlobBackend::Folder(folder) => length(&folder.path(blob.digest)?).await?,
+            BlobBackend::Bucket(bucket) => bucket.length(blob.digest).await?,
         };
         match found {
             None => return Ok(BlobState::Missing),
@@ -139,8 +139,8 @@ impl Blobs {
     /// if it is not here any more.
     async fn record(&self, blob: BlobRef) -> Result<bool, BlobError> {
         match &self.0.keeper {
-            Keeper::Folder(_) => Ok(true),
-            Keeper::Bucket(bucket) => Ok(bucket.renew(blob).await?.is_some()),
+            BlobBackend::Folder(_) => Ok(true),
+            BlobBackend::Bucket(bucket) => Ok(bucket.renew(blob).await?.is_some()),
         }
     }
 
@@ -157,8 +157,8 @@ impl Blobs {
     ) -> Result<BlobState, BlobError> {
         let depth = match (&self.0.keeper, mode) {
             // It was empty, so its files were checked when they were copied.
-            (Keeper::Folder(_), _) | (_, CopyMode::Link) => CheckDepth::Length,
-            (Keeper::Bucket(_), CopyMode::Content) => CheckDepth::Content,
+            (BlobBackend::Folder(_), _) | (_, CopyMode::Link) => CheckDepth::Length,
+            (BlobBackend::Bucket(_), CopyMode::Content) => CheckDepth::Content,
         };
         let here = self.check(blob, depth).await?;
         if here == BlobState::Sound && self.record(blob).await? {
@@ -166,7 +166,7 @@ impl Blobs {
         }
         if mode == CopyMode::Link
             && let Some(from) = source.file(blob.digest)
-            && let Keeper::Folder(folder) = &self.0.keeper
+            && let BlobBackend::Folder(folder) = &self.0.keeper
         {
             match length(&from).await? {
                 None => return Ok(BlobState::Missing),
@@ -189,7 +189,7 @@ impl Blobs {
         if staged.blob() != blob {
             return Ok(BlobState::Damaged);
         }
-        if let (BlobState::Damaged, Keeper::Bucket(bucket)) = (here, &self.0.keeper) {
+        if let (BlobState::Damaged, BlobBackend::Bucket(bucket)) = (here, &self.0.keeper) {
             // A publication keeps an object of the blob's length.
             bucket.delete(blob.digest).await?;
         }

@@ -185,7 +185,7 @@ pub struct Blobs(Arc<Inner>);
 
 #[derive(Debug)]
 struct Inner {
-    keeper: Keeper,
+    keeper: BlobBackend,
     /// Folder on the file system of the local files.
     data: PathBuf,
     staging: PathBuf,
@@ -199,7 +199,7 @@ struct Inner {
 
 /// What keeps published blobs.
 #[derive(Debug)]
-enum Keeper {
+enum BlobBackend {
     Folder(Folder),
     Bucket(Bucket),
 }
@@ -213,7 +213,7 @@ impl Blobs {
     pub fn open(data: &Path) -> Result<Self, BlobError> {
         let root = data.join("blobs");
         std::fs::create_dir_all(&root)?;
-        Self::with(data, |lock| Ok(Keeper::Folder(Folder::open(root, lock.to_owned())?)))
+        Self::with(data, |lock| Ok(BlobBackend::Folder(Folder::open(root, lock.to_owned())?)))
     }
 
     /// Opens the store in a bucket, or a prefix of one, that belongs to the database of `store` alone, with staging as
@@ -228,7 +228,7 @@ impl Blobs {
         store: Arc<Store>,
     ) -> Result<Self, BlobError> {
         let bucket = Bucket::open(bucket, store).await?;
-        Self::with(data, |_| Ok(Keeper::Bucket(bucket)))
+        Self::with(data, |_| Ok(BlobBackend::Bucket(bucket)))
     }
 
     /// As [`Blobs::open_bucket`], but the bucket becomes this database's, whichever had it before: objects that nothing refers to are
@@ -242,10 +242,13 @@ impl Blobs {
         store: Arc<Store>,
     ) -> Result<Self, BlobError> {
         let bucket = Bucket::take_over(bucket, store).await?;
-        Self::with(data, |_| Ok(Keeper::Bucket(bucket)))
+        Self::with(data, |_| Ok(BlobBackend::Bucket(bucket)))
     }
 
-    fn with(data: &Path, keeper: impl FnOnce(&Path) -> Result<Keeper, BlobError>) -> Result<Self, BlobError> {
+    fn with(
+        data: &Path,
+        keeper: impl FnOnce(&Path) -> Result<BlobBackend, BlobError>,
+    ) -> Result<Self, BlobError> {
         let [staging, uploads] = ["staging", "uploads"].map(|name| data.join(name));
         for folder in [&staging, &uploads] {
             std::fs::create_dir_all(folder)?;
@@ -274,16 +277,18 @@ impl Blobs {
     /// Publishes a staged blob; keeps an existing equal one.
     pub async fn publish(&self, staged: &StagedBlob) -> Result<Published, BlobError> {
         match &self.0.keeper {
-            Keeper::Folder(folder) => folder.publish(staged).await,
-            Keeper::Bucket(bucket) => bucket.publish(staged).await,
+            BlobBackend::Folder(folder) => folder.publish(staged).await,
+            BlobBackend::Bucket(bucket) => bucket.publish(staged).await,
         }
     }
 
     /// Publishes an existing blob again, and returns a file of it; `None` if it does not exist.
     pub async fn republish(&self, blob: BlobRef) -> Result<Option<(Published, BlobCopy)>, BlobError> {
         let published = match &self.0.keeper {
-            Keeper::Folder(folder) => folder.renew(blob).await?.map(|_| Published { blob, created_at: None }),
-            Keeper::Bucket(bucket) => bucket.renew(blob).await?,
+            BlobBackend::Folder(folder) => {
+                folder.renew(blob).await?.map(|_| Published { blob, created_at: None })
+            }
+            BlobBackend::Bucket(bucket) => bucket.renew(blob).await?,
         };
         let Some(published) = published else { return Ok(None) };
         Ok(Some((published, self.local_copy(blob.digest).await?)))
@@ -298,7 +303,7 @@ impl Blobs {
     pub async fn put_new(&self, content: Bytes) -> Result<Published, BlobError> {
         let blob = BlobRef { digest: Digest::of(&content), bytes: content.len() as u64 };
         match &self.0.keeper {
-            Keeper::Folder(folder) => {
+            BlobBackend::Folder(folder) => {
                 if folder.renew(blob).await?.is_some() {
                     return Ok(Published { blob, created_at: None });
                 }
@@ -306,7 +311,7 @@ impl Blobs {
                 staging.write(&content).await?;
                 folder.publish(&staging.finish().await?).await
             }
-            Keeper::Bucket(bucket) => bucket.put(blob, &content).await,
+            BlobBackend::Bucket(bucket) => bucket.put(blob, &content).await,
         }
     }
 
@@ -317,10 +322,10 @@ impl Blobs {
     pub async fn read(&self, digest: Digest) -> Result<Bytes, BlobError> {
         let content = match &self.0.keeper {
             // Many times faster than piece by piece.
-            Keeper::Folder(folder) => {
+            BlobBackend::Folder(folder) => {
                 folder.store.get(&location(digest)).await.map_err(missing(digest))?.bytes().await?
             }
-            Keeper::Bucket(bucket) => {
+            BlobBackend::Bucket(bucket) => {
                 let pieces = bucket.get(digest, GetOptions::default()).await?;
                 pieces.try_collect::<Vec<Bytes>>().await?.concat().into()
             }
@@ -352,12 +357,12 @@ impl Blobs {
 
     async fn get(&self, digest: Digest, options: GetOptions) -> Result<Pieces, BlobError> {
         match &self.0.keeper {
-            Keeper::Folder(folder) => {
+            BlobBackend::Folder(folder) => {
                 let found =
                     folder.store.get_opts(&location(digest), options).await.map_err(missing(digest))?;
                 Ok(found.into_stream().map_err(BlobError::from).boxed())
             }
-            Keeper::Bucket(bucket) => bucket.get(digest, options).await,
+            BlobBackend::Bucket(bucket) => bucket.get(digest, options).await,
         }
     }
 
@@ -367,11 +372,11 @@ impl Blobs {
     /// As [`Blobs::read`].
     pub async fn local_copy(&self, digest: Digest) -> Result<BlobCopy, BlobError> {
         match &self.0.keeper {
-            Keeper::Folder(folder) => {
+            BlobBackend::Folder(folder) => {
                 folder.store.head(&location(digest)).await.map_err(missing(digest))?;
                 Ok(BlobCopy { path: folder.path(digest)?, _removed: None })
             }
-            Keeper::Bucket(bucket) => {
+            BlobBackend::Bucket(bucket) => {
                 let copy = bucket.download(digest, &self.0.staging_dir).await?;
                 Ok(BlobCopy { path: copy.to_path_buf(), _removed: Some(copy) })
             }
@@ -383,8 +388,8 @@ impl Blobs {
     pub async fn unpublish(&self, published: Published) -> Result<bool, BlobError> {
         let (Some(since), digest) = (published.created_at, published.blob.digest) else { return Ok(false) };
         let removed = match &self.0.keeper {
-            Keeper::Folder(folder) => folder.remove_if(digest, move |at| at == since).await?,
-            Keeper::Bucket(bucket) => bucket.remove(digest, Removable::PublishedAt(since)).await?,
+            BlobBackend::Folder(folder) => folder.remove_if(digest, move |at| at == since).await?,
+            BlobBackend::Bucket(bucket) => bucket.remove(digest, Removable::PublishedAt(since)).await?,
         };
         Ok(removed.is_some())
     }
@@ -395,9 +400,11 @@ impl Blobs {
     /// If nothing can be listed.
     pub async fn older_than(&self, age: SignedDuration, now: Timestamp) -> Result<OldBlobs, BlobError> {
         match &self.0.keeper {
-            Keeper::Folder(folder) => folder.older_than(earlier(now, age)).await,
+            BlobBackend::Folder(folder) => folder.older_than(earlier(now, age)).await,
             // By the database's clock.
-            Keeper::Bucket(bucket) => Ok(OldBlobs { digests: bucket.older_than(age).await?, error: None }),
+            BlobBackend::Bucket(bucket) => {
+                Ok(OldBlobs { digests: bucket.older_than(age).await?, error: None })
+            }
         }
     }
 
@@ -409,19 +416,19 @@ impl Blobs {
         now: Timestamp,
     ) -> Result<Option<u64>, BlobError> {
         match &self.0.keeper {
-            Keeper::Folder(folder) => {
+            BlobBackend::Folder(folder) => {
                 let before = earlier(now, age);
                 folder.remove_if(digest, move |at| at < before).await
             }
-            Keeper::Bucket(bucket) => bucket.remove(digest, Removable::OlderThan(age)).await,
+            BlobBackend::Bucket(bucket) => bucket.remove(digest, Removable::OlderThan(age)).await,
         }
     }
 
     /// Finishes removals that other processes have begun, and died.
     pub async fn finish_removals(&self) -> Result<(), BlobError> {
         match &self.0.keeper {
-            Keeper::Folder(_) => Ok(()),
-            Keeper::Bucket(bucket) => bucket.finish_removals().await,
+            BlobBackend::Folder(_) => Ok(()),
+            BlobBackend::Bucket(bucket) => bucket.finish_removals().await,
         }
     }
 
@@ -444,8 +451,8 @@ impl Blobs {
     /// [`BlobError::OtherDatabase`], [`BlobError::Bucket`].
     pub async fn check_owner(&self) -> Result<(), BlobError> {
         match &self.0.keeper {
-            Keeper::Folder(_) => Ok(()),
-            Keeper::Bucket(bucket) => bucket.check_owner().await,
+            BlobBackend::Folder(_) => Ok(()),
+            BlobBackend::Bucket(bucket) => bucket.check_owner().await,
         }
     }
 
@@ -458,8 +465,8 @@ impl Blobs {
     #[must_use]
     pub fn shared_files(&self) -> Option<SharedFiles> {
         match &self.0.keeper {
-            Keeper::Folder(_) => None,
-            Keeper::Bucket(bucket) => Some(bucket.shared_files()),
+            BlobBackend::Folder(_) => None,
+            BlobBackend::Bucket(bucket) => Some(bucket.shared_files()),
         }
     }
 
@@ -478,8 +485,8 @@ impl Blobs {
 impl fmt::Display for Blobs {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match &self.0.keeper {
-            Keeper::Folder(_) => self.0.data.display().fmt(f),
-            Keeper::Bucket(_) => f.write_str("the bucket"),
+            BlobBackend::Folder(_) => self.0.data.display().fmt(f),
+            BlobBackend::Bucket(_) => f.write_str("the bucket"),
         }
     }
 }

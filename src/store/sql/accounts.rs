@@ -9,7 +9,7 @@ use super::{
     MEMBERS, Store,
     db::{Query, Sql, Transaction, query, values},
     locks,
-    rows::{json, optional_whole, parsed, whole},
+    rows::{integer, json, optional_integer, parsed},
 };
 use crate::{
     domain::{Digest, ProjectId},
@@ -65,7 +65,7 @@ pub(super) const STATEMENTS: [&str; 3] = [USAGE, HAS_BLOB, ACTIVE_JOBS];
 async fn usage(connection: &mut Transaction, project: ProjectId) -> Result<Usage, StoreError> {
     let row = query(USAGE).bind(project.to_string()).fetch_optional(connection).await?;
     let Some(row) = row else { return Ok(Usage { stored: 0, reserved: 0 }) };
-    Ok(Usage { stored: whole(&row, "stored_bytes")?, reserved: whole(&row, "reserved_bytes")? })
+    Ok(Usage { stored: integer(&row, "stored_bytes")?, reserved: integer(&row, "reserved_bytes")? })
 }
 
 /// The limit of a project that has none of its own: the service's, or none for the default project.
@@ -83,7 +83,7 @@ async fn quota(
         .bind(project.to_string())
         .fetch_one(connection)
         .await?;
-    Ok(optional_whole(&row, "max_bytes")?.or(default_limit(project, default)))
+    Ok(optional_integer(&row, "max_bytes")?.or(default_limit(project, default)))
 }
 
 /// Refuses `requested` more bytes over the project's quota, which is `default` for projects without one. Part of the transaction that
@@ -122,8 +122,8 @@ pub(super) async fn admit_job(
     project: ProjectId,
 ) -> Result<(), StoreError> {
     let row = query(ACTIVE_JOBS).bind(project.to_string()).fetch_one(connection).await?;
-    let active: u32 = whole(&row, "active")?;
-    let max: Option<u32> = optional_whole(&row, "max_active_jobs")?.or(default_limit(project, default));
+    let active: u32 = integer(&row, "active")?;
+    let max: Option<u32> = optional_integer(&row, "max_active_jobs")?.or(default_limit(project, default));
     if max.is_some_and(|max| active >= max) {
         return Err(StoreError::TooManyJobs { active });
     }
@@ -174,7 +174,7 @@ impl Store {
     pub fn largest_dataset(&self, project: ProjectId) -> StoreFuture<'_, u64> {
         self.call("largest_dataset").run(async move {
             let row = query(LARGEST_DATASET).bind(project.to_string()).fetch_one(&self.readers).await?;
-            whole(&row, "largest")
+            integer(&row, "largest")
         })
     }
 
@@ -183,7 +183,7 @@ impl Store {
         self.call("owned_archive").run(async move {
             query(OWNED_BLOB)
                 .bind_all(values![project.to_string(), content.to_string()])
-                .optional(&self.readers, |row| Ok(BlobRef { digest: content, bytes: whole(row, "bytes")? }))
+                .optional(&self.readers, |row| Ok(BlobRef { digest: content, bytes: integer(row, "bytes")? }))
                 .await
         })
     }

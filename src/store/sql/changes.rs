@@ -6,7 +6,7 @@ use sqlx::{PgPool, postgres::PgListener};
 use tokio::{sync::watch, task::AbortHandle, time::sleep};
 
 use super::db::Pool;
-use crate::store::{ChangeKind, Changes, changes::Told};
+use crate::store::{ChangeKind, Changes, changes::ListenerState};
 
 /// The channels of the schema's triggers.
 const QUEUE: &str = "tcgs_queue";
@@ -19,8 +19,8 @@ const RECONNECT_AFTER: Duration = Duration::from_secs(1);
 pub(super) struct Listener(Option<Listening>);
 
 struct Listening {
-    queue: watch::Receiver<Told>,
-    events: watch::Receiver<Told>,
+    queue: watch::Receiver<ListenerState>,
+    events: watch::Receiver<ListenerState>,
     task: AbortHandle,
 }
 
@@ -60,7 +60,7 @@ impl Drop for Listener {
 }
 
 /// Listens, and connects again whenever the connection is lost.
-async fn listen(pool: PgPool, queue: watch::Sender<Told>, events: watch::Sender<Told>) {
+async fn listen(pool: PgPool, queue: watch::Sender<ListenerState>, events: watch::Sender<ListenerState>) {
     loop {
         if let Err(error) = listen_once(&pool, &queue, &events).await {
             tracing::debug!(error = &error as &dyn std::error::Error, "not told of changes: {error}");
@@ -78,13 +78,13 @@ async fn listen(pool: PgPool, queue: watch::Sender<Told>, events: watch::Sender<
 /// Listens until the connection is lost.
 async fn listen_once(
     pool: &PgPool,
-    queue: &watch::Sender<Told>,
-    events: &watch::Sender<Told>,
+    queue: &watch::Sender<ListenerState>,
+    events: &watch::Sender<ListenerState>,
 ) -> Result<(), sqlx::Error> {
     let mut listener = PgListener::connect_with(pool).await?;
     listener.listen_all([QUEUE, EVENTS]).await?;
-    let tell = |told: &watch::Sender<Told>| {
-        told.send_modify(|told| *told = Told { is_live: true, count: told.count.wrapping_add(1) });
+    let tell = |told: &watch::Sender<ListenerState>| {
+        told.send_modify(|told| *told = ListenerState { is_live: true, count: told.count.wrapping_add(1) });
     };
     // Whatever was told before this connection listened was missed.
     tell(queue);

@@ -4,7 +4,7 @@ use super::{
     CREATED, Store, accounts,
     db::{Row, Sql, Transaction, query, values},
     idempotency, insert_blob, lists, locks,
-    rows::{blob, document, instant, json, micros, parsed, whole},
+    rows::{blob, from_json, instant, integer, json, micros, parsed},
 };
 use crate::{
     domain::{DatasetId, Digest, ProjectId},
@@ -27,8 +27,8 @@ fn dataset(row: &Row) -> Result<DatasetRecord, StoreError> {
         project: parsed("project", row.try_get("project")?)?,
         name: row.try_get("name")?,
         dataset: blob(row, "dataset")?,
-        summary: document("summary", row.try_get("summary")?)?,
-        version: whole(row, "version")?,
+        summary: from_json("summary", row.try_get("summary")?)?,
+        version: integer(row, "version")?,
         created_at: instant("created_at", row.try_get("created_at")?)?,
     })
 }
@@ -160,7 +160,7 @@ impl Store {
             .bind(id.to_string())
             .fetch_one(&mut *tx)
             .await?;
-            let active: u64 = whole(&row, "active")?;
+            let active: u64 = integer(&row, "active")?;
             if active > 0 {
                 return Ok(Some(DatasetDeletion::InUse(active)));
             }

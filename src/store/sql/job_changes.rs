@@ -24,7 +24,7 @@ pub(super) async fn fail_expired(connection: &mut Transaction, now: Timestamp) -
         .fetch_all(&mut *connection)
         .await?;
     for row in &late {
-        let (job, attempt) = (rows::job_id(row)?, rows::whole(row, "attempt")?);
+        let (job, attempt) = (rows::job_id(row)?, rows::integer(row, "attempt")?);
         let error = Some(deadline_exceeded(rows::deadline(row)?, attempt));
         let end = JobEnd { state: JobState::Failed, metrics: None, error };
         end_job(connection, job, attempt, &end, now).await?;

@@ -58,7 +58,7 @@ use changes::Listener;
 use db::{Pool, Row, Sql, Target, Transaction, query, values};
 pub use faults::StoreFaults;
 pub use open::{DatabaseLocation, InvalidDatabaseUrl, PostgresUrl, SchemaChange};
-use queue::Competition;
+use queue::RowLock;
 use rows::{JobParts, json as text, micros};
 
 /// HTTP status of the response to a request that created a resource.
@@ -204,14 +204,14 @@ impl Store {
     /// Whether a claim could find a job, so that idle polling takes no write lock.
     async fn anything_due(&self) -> Result<bool, StoreError> {
         let now = self.now(&self.readers).await?;
-        Ok(queue::next(&self.readers, &self.policy, now, Competition::Wait).await?.is_some())
+        Ok(queue::next(&self.readers, &self.policy, now, RowLock::None).await?.is_some())
     }
 }
 
 /// Records a blob unless it is known.
 async fn insert_blob(connection: &mut Transaction, blob: BlobRef, now: Timestamp) -> Result<(), StoreError> {
     let bytes = i64::try_from(blob.bytes)
-        .map_err(|_| StoreError::Corrupt { what: "blob length", fault: blob.bytes.to_string() })?;
+        .map_err(|_| StoreError::Corrupt { what: "blob length", error: blob.bytes.to_string() })?;
     loop {
         query("INSERT INTO blobs (digest, bytes, created_at) VALUES (?, ?, ?) ON CONFLICT DO NOTHING")
             .bind_all(values![blob.digest.to_string(), bytes, micros(now)])

@@ -121,7 +121,7 @@ impl FromStr for PostgresUrl {
         }
         check_parts(text)?;
         let options =
-            PgConnectOptions::from_str(text).map_err(|fault| InvalidDatabaseUrl(fault.to_string()))?;
+            PgConnectOptions::from_str(text).map_err(|error| InvalidDatabaseUrl(error.to_string()))?;
         if options.get_database().is_none() {
             return Err(InvalidDatabaseUrl("it names no database".into()));
         }
@@ -152,16 +152,16 @@ const PARAMETERS: [&str; 17] = [
 
 /// Refuses what the driver would read otherwise than it is meant, so that no part of a password becomes part of a name that is shown.
 fn check_parts(text: &str) -> Result<(), InvalidDatabaseUrl> {
-    let fault = |fault: String| Err(InvalidDatabaseUrl(fault));
+    let error = |error: String| Err(InvalidDatabaseUrl(error));
     let Ok(url) = Url::parse(text) else { return Ok(()) };
     if url.path().contains('@')
         || url.query().is_some_and(|query| query.contains('@'))
         || url.fragment().is_some()
     {
-        return fault("write @, /, ? and # of a user's name or password as %40, %2F, %3F and %23".into());
+        return error("write @, /, ? and # of a user's name or password as %40, %2F, %3F and %23".into());
     }
     match url.query_pairs().find(|(key, _)| !PARAMETERS.contains(&&**key)) {
-        Some((key, _)) => fault(format!("it has the unknown parameter {key}")),
+        Some((key, _)) => error(format!("it has the unknown parameter {key}")),
         None => Ok(()),
     }
 }
@@ -297,7 +297,7 @@ async fn open_sqlite(
     older: OlderSchema,
 ) -> Result<(Pool, Pool, Option<i64>), StoreError> {
     let open_error = open_error(location);
-    let _lock = lock_beside(path).await.map_err(|fault| open_error(sqlx::Error::Io(fault)))?;
+    let _lock = lock_beside(path).await.map_err(|error| open_error(sqlx::Error::Io(error)))?;
     let options = SqliteConnectOptions::new()
         .filename(path)
         .create_if_missing(true)
@@ -432,7 +432,7 @@ async fn lock_beside(path: &Path) -> io::Result<File> {
                 tracing::info!(path = %path.display(), "waiting for another process that is opening the database");
                 file.lock()?;
             }
-            Err(TryLockError::Error(fault)) => return Err(fault),
+            Err(TryLockError::Error(error)) => return Err(error),
         }
         Ok(file)
     });
@@ -486,8 +486,8 @@ mod tests {
         let store = open().await.expect("a new database gets its tables");
         assert!(store.schema_is_current().await.expect("an answer"));
         forget_newest_version(&store).await;
-        let fault = open().await.err().expect("refused").to_string();
-        assert!(fault.contains("older") && fault.contains("tcgs migrate"), "{fault}");
+        let error = open().await.err().expect("refused").to_string();
+        assert!(error.contains("older") && error.contains("tcgs migrate"), "{error}");
         store.close().await;
 
         let path = folder.path().join("newer.sqlite");
@@ -497,8 +497,8 @@ mod tests {
             Store::open_current(&path, clock(), QueuePolicy::default()).await,
             Store::open(&path, clock(), QueuePolicy::default()).await,
         ] {
-            let fault = opened.err().expect("refused").to_string();
-            assert!(fault.contains("newer"), "{fault}");
+            let error = opened.err().expect("refused").to_string();
+            assert!(error.contains("newer"), "{error}");
         }
         store.close().await;
     }
@@ -575,8 +575,8 @@ mod tests {
             "postgres://ann:1#s3cret@host/x",
             "postgres://ann@host/x?passwd=s3cret",
         ] {
-            let fault = wrong.parse::<PostgresUrl>().expect_err(wrong).to_string();
-            assert!(fault.contains("postgres://USER@HOST/DATABASE") && !fault.contains("s3cret"), "{fault}");
+            let error = wrong.parse::<PostgresUrl>().expect_err(wrong).to_string();
+            assert!(error.contains("postgres://USER@HOST/DATABASE") && !error.contains("s3cret"), "{error}");
         }
     }
 }

@@ -28,7 +28,7 @@ pub(super) async fn admit(
         .bind(project.to_string())
         .fetch_one(connection)
         .await?;
-    let own: Option<i32> = super::rows::optional_whole(&row, "max_priority")?;
+    let own: Option<i32> = super::rows::optional_integer(&row, "max_priority")?;
     let max = own.or(default).unwrap_or(DEFAULT_MAX_PRIORITY);
     if requested > max { Err(StoreError::PriorityTooHigh { requested, max }) } else { Ok(()) }
 }

@@ -4,7 +4,7 @@ use super::{
     Store, accounts,
     db::{Row, Transaction, query, values},
     lists, locks,
-    rows::{self, micros, optional_whole, whole},
+    rows::{self, integer, micros, optional_integer},
 };
 use crate::{
     domain::{JobState, ProjectId, ProjectLimits},
@@ -48,12 +48,12 @@ fn project(row: &Row) -> Result<ProjectRecord, StoreError> {
         id: rows::parsed("project", row.try_get("id")?)?,
         name: row.try_get("name")?,
         limits: ProjectLimits {
-            quota_bytes: optional_whole(row, "max_bytes")?,
-            max_active_jobs: optional_whole(row, "max_active_jobs")?,
-            max_running_jobs: optional_whole(row, "max_running_jobs")?,
-            max_priority: optional_whole(row, "max_priority")?,
+            quota_bytes: optional_integer(row, "max_bytes")?,
+            max_active_jobs: optional_integer(row, "max_active_jobs")?,
+            max_running_jobs: optional_integer(row, "max_running_jobs")?,
+            max_priority: optional_integer(row, "max_priority")?,
         },
-        version: whole(row, "version")?,
+        version: integer(row, "version")?,
         created_at: rows::instant("created_at", row.try_get("created_at")?)?,
     })
 }
@@ -74,17 +74,17 @@ fn usage(row: &Row, defaults: ProjectLimits) -> Result<ProjectUsage, StoreError>
         (JobState::Failed, "failed_jobs"),
         (JobState::Cancelled, "cancelled_jobs"),
     ];
-    let jobs = jobs.into_iter().map(|(state, column)| Ok((state, whole(row, column)?)));
-    let micros: u64 = whole::<u64>(row, "worker_micros")? + whole::<u64>(row, "running_micros")?;
+    let jobs = jobs.into_iter().map(|(state, column)| Ok((state, integer(row, column)?)));
+    let micros: u64 = integer::<u64>(row, "worker_micros")? + integer::<u64>(row, "running_micros")?;
     Ok(ProjectUsage {
         limits: project.limits.or(defaults),
         project,
         stored: StoredBytes {
-            datasets: whole(row, "dataset_bytes")?,
-            artifacts: whole(row, "artifact_bytes")?,
-            exports: whole(row, "export_bytes")?,
+            datasets: integer(row, "dataset_bytes")?,
+            artifacts: integer(row, "artifact_bytes")?,
+            exports: integer(row, "export_bytes")?,
         },
-        reserved: whole(row, "reserved_bytes")?,
+        reserved: integer(row, "reserved_bytes")?,
         jobs: jobs.collect::<Result<_, StoreError>>()?,
         worker_seconds: micros as f64 / 1e6,
     })

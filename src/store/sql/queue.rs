@@ -121,11 +121,11 @@ const NEXT_OF_PROJECT: &str = "
 
 /// Which projects a claim considers, if other transactions have locked some.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Competition {
+pub(super) enum RowLock {
     /// Those that no other has locked; locks the one that is found.
-    Skip,
+    SkipLocked,
     /// All, without locking any.
-    Wait,
+    None,
 }
 
 /// The newest `?2` attempts of job `?1`.
@@ -160,10 +160,10 @@ pub(super) async fn next(
     on: impl Into<Target<'_>>,
     policy: &QueuePolicy,
     now: Timestamp,
-    competition: Competition,
+    lock: RowLock,
 ) -> Result<Option<(JobId, ProjectId)>, StoreError> {
     let mut next = query(NEXT);
-    if competition == Competition::Skip {
+    if lock == RowLock::SkipLocked {
         next.push(Sql { sqlite: "", postgres: " FOR UPDATE OF totals SKIP LOCKED" });
     }
     next.bind(micros(now)).bind(policy.limits.max_running_jobs).optional(on, rows::job_and_project).await
@@ -186,13 +186,13 @@ async fn take_next(
     now: Timestamp,
 ) -> Result<Claiming<JobId>, StoreError> {
     if !tx.is_postgres() {
-        let next = next(tx, policy, now, Competition::Wait).await?;
+        let next = next(tx, policy, now, RowLock::None).await?;
         return Ok(next.map_or(Claiming::NothingDue, |(job, _)| Claiming::Granted(job)));
     }
-    let project = match next(&mut *tx, policy, now, Competition::Skip).await? {
+    let project = match next(&mut *tx, policy, now, RowLock::SkipLocked).await? {
         Some((_, project)) => project,
         // All projects with something to claim are locked, for the moment that another claim takes.
-        None => match next(&mut *tx, policy, now, Competition::Wait).await? {
+        None => match next(&mut *tx, policy, now, RowLock::None).await? {
             Some((_, project)) => {
                 locks::project(tx, project).await?;
                 project
@@ -219,7 +219,7 @@ pub(super) async fn position(connection: &mut Transaction, row: &Row) -> Result<
         .bind(MAX_QUEUE_POSITION - 1)
         .fetch_one(connection)
         .await?;
-    Ok(Some(rows::whole::<u32>(&counted, "ahead")? + 1))
+    Ok(Some(rows::integer::<u32>(&counted, "ahead")? + 1))
 }
 
 /// The newest attempts at a job, oldest first.
@@ -255,7 +255,7 @@ pub(super) async fn claim(
     .bind(job.to_string())
     .fetch_one(&mut *connection)
     .await?;
-    let attempt: u32 = rows::whole(&row, "attempt")?;
+    let attempt: u32 = rows::integer(&row, "attempt")?;
     query("INSERT INTO attempts (job_id, number, worker, started_at) VALUES (?, ?, ?, ?)")
         .bind_all(values![job.to_string(), attempt, worker, micros(now)])
         .execute(&mut *connection)
@@ -406,7 +406,7 @@ async fn holds_before(connection: &mut Transaction, lease: &Lease) -> Result<u32
     .bind_all(values![lease.job.to_string(), lease.attempt])
     .fetch_one(connection)
     .await?;
-    rows::whole(&row, "holds")
+    rows::integer(&row, "holds")
 }
 
 async fn end_attempt(

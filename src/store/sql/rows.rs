@@ -46,11 +46,11 @@ pub(super) fn before(now: Timestamp, delay: Duration) -> Timestamp {
 
 /// The value as JSON. U+FFFD stands for U+0000, which PostgreSQL's JSON functions refuse.
 pub(super) fn json<T: Serialize>(value: &T) -> Result<String, StoreError> {
-    let fault = |fault: String| StoreError::Corrupt { what: "value to store", fault };
+    let corrupt = |error: String| StoreError::Corrupt { what: "value to store", error };
     let mut written = Vec::new();
     let mut writer = serde_json::Serializer::with_formatter(&mut written, WithoutNul);
-    value.serialize(&mut writer).map_err(|error| fault(error.to_string()))?;
-    String::from_utf8(written).map_err(|error| fault(error.to_string()))
+    value.serialize(&mut writer).map_err(|error| corrupt(error.to_string()))?;
+    String::from_utf8(written).map_err(|error| corrupt(error.to_string()))
 }
 
 /// Compact JSON with U+FFFD for U+0000.
@@ -75,18 +75,18 @@ pub(super) fn name<T: Serialize>(value: &T) -> Result<String, StoreError> {
 }
 
 fn corrupt(what: &'static str) -> impl Fn(String) -> StoreError {
-    move |fault| StoreError::Corrupt { what, fault }
+    move |error| StoreError::Corrupt { what, error }
 }
 
 pub(super) fn instant(what: &'static str, value: i64) -> Result<Timestamp, StoreError> {
     Timestamp::from_microsecond(value).map_err(|error| corrupt(what)(error.to_string()))
 }
 
-pub(super) fn document<T: DeserializeOwned>(what: &'static str, text: &str) -> Result<T, StoreError> {
+pub(super) fn from_json<T: DeserializeOwned>(what: &'static str, text: &str) -> Result<T, StoreError> {
     serde_json::from_str(text).map_err(|error| corrupt(what)(error.to_string()))
 }
 
-fn bare<T: DeserializeOwned>(what: &'static str, text: String) -> Result<T, StoreError> {
+fn from_name<T: DeserializeOwned>(what: &'static str, text: String) -> Result<T, StoreError> {
     serde_json::from_value(serde_json::Value::String(text)).map_err(|error| corrupt(what)(error.to_string()))
 }
 
@@ -95,12 +95,12 @@ pub(super) fn parsed<T: FromStr>(what: &'static str, text: &str) -> Result<T, St
 }
 
 /// An integer of any kind.
-pub(super) fn whole<T: TryFrom<i64>>(row: &Row, column: &'static str) -> Result<T, StoreError> {
+pub(super) fn integer<T: TryFrom<i64>>(row: &Row, column: &'static str) -> Result<T, StoreError> {
     let value: i64 = row.try_get(column)?;
     T::try_from(value).map_err(|_| corrupt(column)(format!("{value} is out of range")))
 }
 
-pub(super) fn optional_whole<T: TryFrom<i64>>(
+pub(super) fn optional_integer<T: TryFrom<i64>>(
     row: &Row,
     column: &'static str,
 ) -> Result<Option<T>, StoreError> {
@@ -117,11 +117,11 @@ pub(super) fn optional_parsed<T: FromStr>(row: &Row, column: &'static str) -> Re
 }
 
 fn optional_document<T: DeserializeOwned>(row: &Row, column: &'static str) -> Result<Option<T>, StoreError> {
-    row.try_get::<Option<String>>(column)?.map(|text| document(column, &text)).transpose()
+    row.try_get::<Option<String>>(column)?.map(|text| from_json(column, &text)).transpose()
 }
 
 pub(super) fn blob(row: &Row, digest: &'static str) -> Result<BlobRef, StoreError> {
-    Ok(BlobRef { digest: parsed(digest, row.try_get(digest)?)?, bytes: whole(row, "bytes")? })
+    Ok(BlobRef { digest: parsed(digest, row.try_get(digest)?)?, bytes: integer(row, "bytes")? })
 }
 
 pub(super) fn job_id(row: &Row) -> Result<JobId, StoreError> {
@@ -133,7 +133,7 @@ pub(super) fn job_and_project(row: &Row) -> Result<(JobId, ProjectId), StoreErro
 }
 
 pub(super) fn newest_event(row: &Row) -> Result<(JobId, u64), StoreError> {
-    Ok((job_id(row)?, whole(row, "last_seq")?))
+    Ok((job_id(row)?, integer(row, "last_seq")?))
 }
 
 /// The job whose checkpoint a claimed one may resume from.
@@ -147,7 +147,7 @@ pub(super) fn dataset(row: &Row) -> Result<Digest, StoreError> {
 }
 
 pub(super) fn options(row: &Row) -> Result<crate::domain::TrainOptions, StoreError> {
-    document("options", row.try_get("options")?)
+    from_json("options", row.try_get("options")?)
 }
 
 /// What a job has in other rows than its own.
@@ -163,14 +163,14 @@ pub(super) fn job(row: &Row, parts: JobParts) -> Result<JobRecord, StoreError> {
     let job = Job {
         id: job_id(row)?,
         state,
-        phase: bare("phase", row.try_get("phase")?)?,
+        phase: from_name("phase", row.try_get("phase")?)?,
         options: options(row)?,
-        progress: document("progress", row.try_get("progress")?)?,
+        progress: from_json("progress", row.try_get("progress")?)?,
         metrics: optional_document(row, "metrics")?,
         error: optional_document(row, "error")?,
-        attempt: whole(row, "attempt")?,
+        attempt: integer(row, "attempt")?,
         cancel_requested: row.try_get::<Option<i64>>("cancel_requested_at")?.is_some(),
-        version: whole(row, "version")?,
+        version: integer(row, "version")?,
         created_at: instant("created_at", row.try_get("created_at")?)?,
         started_at: optional_instant(row, "started_at")?,
         finished_at: optional_instant(row, "finished_at")?,
@@ -180,13 +180,13 @@ pub(super) fn job(row: &Row, parts: JobParts) -> Result<JobRecord, StoreError> {
         project: parsed("project", row.try_get("project")?)?,
         key: optional_parsed(row, "owner")?,
         name: row.try_get("name")?,
-        metadata: document("metadata", row.try_get("metadata")?)?,
+        metadata: from_json("metadata", row.try_get("metadata")?)?,
         queue_position: parts.queue_position,
         attempts: parts.attempts,
         dataset_id: optional_parsed(row, "scene")?,
         retry_of: optional_parsed(row, "retry_of")?,
         deadline_at: optional_instant(row, "deadline_at")?,
-        priority: whole(row, "priority")?,
+        priority: integer(row, "priority")?,
         dataset: blob(row, "dataset")?,
         artifacts: parts.artifacts,
     })
@@ -194,24 +194,24 @@ pub(super) fn job(row: &Row, parts: JobParts) -> Result<JobRecord, StoreError> {
 
 /// A row of `artifacts` joined with its blob's `bytes`.
 pub(super) fn artifact(row: &Row) -> Result<Artifact, StoreError> {
-    let kind: ArtifactKind = bare("artifact kind", row.try_get("kind")?)?;
+    let kind: ArtifactKind = from_name("artifact kind", row.try_get("kind")?)?;
     Ok(Artifact { kind, lambda: row.try_get("lambda")?, blob: blob(row, "digest")? })
 }
 
 pub(super) fn event(row: &Row) -> Result<Event, StoreError> {
-    let kind: EventKind = bare("event kind", row.try_get("kind")?)?;
+    let kind: EventKind = from_name("event kind", row.try_get("kind")?)?;
     Ok(Event {
-        seq: whole(row, "seq")?,
+        seq: integer(row, "seq")?,
         at: instant("at", row.try_get("at")?)?,
         kind,
-        attempt: whole(row, "attempt")?,
-        data: document("event data", row.try_get("data")?)?,
+        attempt: integer(row, "attempt")?,
+        data: from_json("event data", row.try_get("data")?)?,
     })
 }
 
 pub(super) fn attempt(row: &Row) -> Result<AttemptRecord, StoreError> {
     Ok(AttemptRecord {
-        number: whole(row, "number")?,
+        number: integer(row, "number")?,
         worker: row.try_get("worker")?,
         started_at: instant("started_at", row.try_get("started_at")?)?,
         ended_at: optional_instant(row, "ended_at")?,
@@ -225,24 +225,24 @@ pub(super) fn export(row: &Row) -> Result<ExportRecord, StoreError> {
     Ok(ExportRecord {
         job: parsed("job_id", row.try_get("job_id")?)?,
         source: parsed("source", row.try_get("source")?)?,
-        format: bare("export format", row.try_get("format")?)?,
+        format: from_name("export format", row.try_get("format")?)?,
         blob: blob(row, "digest")?,
-        gaussians: whole(row, "gaussians")?,
-        sh_degree: whole(row, "sh_degree")?,
+        gaussians: integer(row, "gaussians")?,
+        sh_degree: integer(row, "sh_degree")?,
         fidelity: fidelity(row)?,
     })
 }
 
 fn fidelity(row: &Row) -> Result<Option<ExportFidelity>, StoreError> {
     let psnr: Option<f64> = row.try_get("likeness_psnr")?;
-    psnr.map(|psnr| Ok(ExportFidelity { psnr, views: whole(row, "likeness_views")? })).transpose()
+    psnr.map(|psnr| Ok(ExportFidelity { psnr, views: integer(row, "likeness_views")? })).transpose()
 }
 
 /// A file of a job or of its exports, joined with its blob's `bytes`.
 pub(super) fn file(row: &Row) -> Result<FileRecord, StoreError> {
     Ok(FileRecord {
         job: parsed("job_id", row.try_get("job_id")?)?,
-        kind: bare("artifact kind", row.try_get("kind")?)?,
+        kind: from_name("artifact kind", row.try_get("kind")?)?,
         lambda: row.try_get("lambda")?,
         blob: blob(row, "digest")?,
     })
@@ -251,7 +251,7 @@ pub(super) fn file(row: &Row) -> Result<FileRecord, StoreError> {
 pub(super) fn prior_request(row: &Row) -> Result<PriorRequest, StoreError> {
     Ok(PriorRequest {
         fingerprint: parsed("fingerprint", row.try_get("fingerprint")?)?,
-        status: whole(row, "status")?,
+        status: integer(row, "status")?,
         resource: row.try_get("resource")?,
     })
 }
@@ -262,38 +262,38 @@ pub(super) fn deadline(row: &Row) -> Result<Timestamp, StoreError> {
 }
 
 pub(super) fn attempt_state(row: &Row, now: Timestamp) -> Result<AttemptState, StoreError> {
-    let checkpoint: u64 = whole(row, "checkpoint_step")?;
+    let checkpoint: u64 = integer(row, "checkpoint_step")?;
     Ok(AttemptState {
         missed_deadline: optional_instant(row, "deadline_at")?.filter(|deadline| *deadline <= now),
         job: job_id(row)?,
-        attempt: whole(row, "attempt")?,
-        charged: whole(row, "charged")?,
-        max_attempts: whole(row, "max_attempts")?,
+        attempt: integer(row, "attempt")?,
+        charged: integer(row, "charged")?,
+        max_attempts: integer(row, "max_attempts")?,
         holds: 0,
-        losses: LossStreak { alone: whole(row, "silent_deaths")?, with_service: whole(row, "setbacks")? },
+        losses: LossStreak { alone: integer(row, "silent_deaths")?, with_service: integer(row, "setbacks")? },
         checkpoint,
-        checkpoint_advanced: checkpoint > whole::<u64>(row, "setback_step")?,
+        checkpoint_advanced: checkpoint > integer::<u64>(row, "setback_step")?,
         cancel_requested: row.try_get::<Option<i64>>("cancel_requested_at")?.is_some(),
     })
 }
 
 /// The lease of a running job.
 pub(super) fn lease(row: &Row) -> Result<LeaseRow, StoreError> {
-    Ok(LeaseRow { job: job_id(row)?, attempt: whole(row, "attempt")?, until: row.try_get("lease_until")? })
+    Ok(LeaseRow { job: job_id(row)?, attempt: integer(row, "attempt")?, until: row.try_get("lease_until")? })
 }
 
 /// A row of `series`.
 pub(super) fn point(row: &Row) -> Result<SeriesPoint, StoreError> {
     Ok(SeriesPoint {
-        attempt: whole(row, "attempt")?,
-        step: whole(row, "step")?,
+        attempt: integer(row, "attempt")?,
+        step: integer(row, "step")?,
         seconds: row.try_get("seconds")?,
         loss: row.try_get("loss")?,
         psnr: row.try_get("psnr")?,
         ssim: row.try_get("ssim")?,
-        anchors: whole(row, "anchors")?,
-        gaussians: whole(row, "gaussians")?,
-        bytes: optional_whole(row, "bytes")?,
+        anchors: integer(row, "anchors")?,
+        gaussians: integer(row, "gaussians")?,
+        bytes: optional_integer(row, "bytes")?,
     })
 }
 
@@ -303,7 +303,7 @@ pub(super) fn endpoint_id(row: &Row) -> Result<EndpointId, StoreError> {
 
 /// A row of `webhook_endpoints`.
 pub(super) fn endpoint(row: &Row) -> Result<EndpointRecord, StoreError> {
-    let names: Vec<String> = document("events", row.try_get("events")?)?;
+    let names: Vec<String> = from_json("events", row.try_get("events")?)?;
     let events: Result<Vec<WebhookEvent>, StoreError> =
         names.iter().map(|name| parsed("events", name)).collect();
     Ok(EndpointRecord {
@@ -320,17 +320,17 @@ pub(super) fn endpoint(row: &Row) -> Result<EndpointRecord, StoreError> {
 /// A row of `webhook_deliveries`.
 pub(super) fn delivery(row: &Row) -> Result<DeliveryRecord, StoreError> {
     Ok(DeliveryRecord {
-        seq: whole(row, "seq")?,
+        seq: integer(row, "seq")?,
         id: parsed("id", row.try_get("id")?)?,
         job: parsed("job", row.try_get("job")?)?,
         event: parsed("event", row.try_get("event")?)?,
         state: parsed("state", row.try_get("state")?)?,
-        attempts: whole(row, "attempts")?,
+        attempts: integer(row, "attempts")?,
         due_at: optional_instant(row, "due_at")?,
         created_at: instant("created_at", row.try_get("created_at")?)?,
         attempted_at: optional_instant(row, "attempted_at")?,
         delivered_at: optional_instant(row, "delivered_at")?,
-        response_status: optional_whole(row, "answer_status")?,
+        response_status: optional_integer(row, "answer_status")?,
         error: row.try_get("answer_fault")?,
     })
 }
@@ -339,8 +339,8 @@ pub(super) fn delivery(row: &Row) -> Result<DeliveryRecord, StoreError> {
 pub(super) fn due_delivery(row: &Row, at: Timestamp) -> Result<DueDelivery, StoreError> {
     Ok(DueDelivery {
         id: parsed("id", row.try_get("id")?)?,
-        attempt: whole(row, "attempts")?,
-        tries: whole(row, "tries")?,
+        attempt: integer(row, "attempts")?,
+        tries: integer(row, "tries")?,
         url: row.try_get("url")?,
         secret: WebhookSecret::stored(row.try_get("secret")?),
         body: row.try_get("body")?,

@@ -67,7 +67,7 @@ impl Store {
             Ok(StoreStats {
                 jobs: JobState::ALL.map(|state| (state, total("jobs", state.name()))).to_vec(),
                 oldest_queued_at: rows::optional_instant(&oldest, "oldest")?,
-                claims: counted("claims").map(|counter| whole(counter.value)).sum(),
+                claims: counted("claims").map(|counter| integer(counter.value)).sum(),
                 attempts: counted("attempts_ended").map(attempts_ended).collect::<Result<_, _>>()?,
                 phase_seconds: PHASES
                     .map(|phase| {
@@ -132,7 +132,7 @@ impl Total {
         Ok(Self {
             name: row.try_get("name")?,
             label: row.try_get("label")?,
-            value: rows::whole(row, "value")?,
+            value: rows::integer(row, "value")?,
         })
     }
 }
@@ -156,7 +156,7 @@ impl Counter {
 }
 
 /// The value of a counter that counts by ones.
-fn whole(value: f64) -> u64 {
+fn integer(value: f64) -> u64 {
     value as u64
 }
 
@@ -165,7 +165,7 @@ fn attempts_ended(counter: &Counter) -> Result<AttemptCount, StoreError> {
     Ok(AttemptCount {
         outcome: rows::parsed("outcome", &counter.label)?,
         cause: (!cause.is_empty()).then(|| cause.to_owned()),
-        count: whole(counter.value),
+        count: integer(counter.value),
     })
 }
 

@@ -15,8 +15,8 @@ use crate::{
 impl Store {
     /// Writes a copy of the database, as of one moment, into a new file. Others may read and write meanwhile.
     pub(in crate::store) async fn copy_into(&self, path: &Path) -> Result<(), StoreError> {
-        let fault = || StoreError::Corrupt { what: "path of a copy", fault: path.display().to_string() };
-        let path = path.to_str().ok_or_else(fault)?;
+        let error = || StoreError::Corrupt { what: "path of a copy", error: path.display().to_string() };
+        let path = path.to_str().ok_or_else(error)?;
         match &self.readers {
             Pool::Sqlite(_) => query("VACUUM INTO ?").bind(path).execute(&self.readers).await?,
             Pool::Postgres(_) => return Err(StoreError::NotInPostgres("copy")),

@@ -6,7 +6,7 @@ use super::{
     MEMBERS, Store, accounts,
     db::{Row, Transaction, query, values},
     locks,
-    rows::{instant, json, micros, optional_instant, optional_parsed, parsed, whole},
+    rows::{instant, integer, json, micros, optional_instant, optional_parsed, parsed},
 };
 use crate::{
     domain::{ProjectId, UploadId},
@@ -23,8 +23,8 @@ fn upload(row: &Row) -> Result<UploadRecord, StoreError> {
     Ok(UploadRecord {
         id: upload_id(row)?,
         project: parsed("project", row.try_get("project")?)?,
-        length: whole(row, "length")?,
-        received: whole(row, "received")?,
+        length: integer(row, "length")?,
+        received: integer(row, "received")?,
         metadata: row.try_get("metadata")?,
         dataset_id: optional_parsed(row, "scene")?,
         created_at: instant("created_at", row.try_get("created_at")?)?,
@@ -39,12 +39,12 @@ fn upload_id(row: &Row) -> Result<UploadId, StoreError> {
 
 /// The start and the name of a row of `upload_parts`.
 fn part(row: &Row) -> Result<(u64, String), StoreError> {
-    Ok((whole(row, "start")?, row.try_get("name")?))
+    Ok((integer(row, "start")?, row.try_get("name")?))
 }
 
 /// A count of bytes as columns hold it.
 fn column(what: &'static str, bytes: u64) -> Result<i64, StoreError> {
-    i64::try_from(bytes).map_err(|_| StoreError::Corrupt { what, fault: bytes.to_string() })
+    i64::try_from(bytes).map_err(|_| StoreError::Corrupt { what, error: bytes.to_string() })
 }
 
 async fn select(connection: &mut Transaction, id: UploadId) -> Result<Option<UploadRecord>, StoreError> {
@@ -57,7 +57,7 @@ async fn expect_room(tx: &mut Transaction, project: ProjectId) -> Result<(), Sto
         .bind(project.to_string())
         .fetch_one(tx)
         .await?;
-    let open: u32 = whole(&row, "open")?;
+    let open: u32 = integer(&row, "open")?;
     if open < MAX_OPEN_UPLOADS { Ok(()) } else { Err(StoreError::TooManyUploads { open }) }
 }
 
@@ -144,7 +144,7 @@ impl Store {
             )
             .fetch_one(&self.readers)
             .await?;
-            whole(&row, "bytes")
+            integer(&row, "bytes")
         })
     }
 

@@ -136,7 +136,7 @@ fn check_document(document: &str, out: &Path) {
 
 fn check_files(out: &Path) {
     let text =
-        |name: &str| fs::read_to_string(out.join(name)).unwrap_or_else(|fault| panic!("{name}: {fault}"));
+        |name: &str| fs::read_to_string(out.join(name)).unwrap_or_else(|error| panic!("{name}: {error}"));
     let page = text("report.html");
     for words in [
         "3dgs",

@@ -180,9 +180,9 @@ async fn a_folder_is_packed_on_the_way_and_waited_for() {
     let file = folder.path().join("second.tcgs");
     succeeded(&run(line!["fetch", id, "--server", url, "-o", file, "--lambda", "0.004"]).await);
     assert_eq!(fs::read(&file).expect("a file"), fakes::curve_file(1));
-    let fault =
+    let error =
         failed(&run(line!["fetch", id, "--server", url, "-o", file, "--lambda", "7", "--json"]).await, 3);
-    assert!(fault["detail"].as_str().expect("a detail").contains("lambda 7"), "{fault}");
+    assert!(error["detail"].as_str().expect("a detail").contains("lambda 7"), "{error}");
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
@@ -217,8 +217,8 @@ async fn a_download_that_broke_off_is_gone_on_with_and_a_wrong_one_is_not_kept()
 
     fs::remove_file(&file).expect("removes");
     fs::write(&part, b"not these bytes").expect("writes");
-    let fault = failed(&fetch().await, 1);
-    assert_eq!(fault["type"], "urn:tcgs:problem:unexpected-answer", "{fault}");
+    let error = failed(&fetch().await, 1);
+    assert_eq!(error["type"], "urn:tcgs:problem:unexpected-answer", "{error}");
     assert!(!file.exists() && !part.exists(), "neither a wrong file nor its beginning stays");
     assert_eq!(succeeded(&fetch().await)["resumed_at"], 0);
 
@@ -252,15 +252,15 @@ async fn what_the_service_refuses_and_what_fails_there_is_the_commands_failure()
     for command in
         [line!["watch", absent, "--json"], line!["fetch", absent, "-o", folder.path().join("f"), "--json"]]
     {
-        let fault = failed(&run([command, line!["--server", url]].concat()).await, 3);
-        assert_eq!(fault["type"], "urn:tcgs:problem:job-not-found");
+        let error = failed(&run([command, line!["--server", url]].concat()).await, 3);
+        assert_eq!(error["type"], "urn:tcgs:problem:job-not-found");
     }
     let running = server.create("wait").await;
-    let fault = failed(
+    let error = failed(
         &run(line!["fetch", running, "--server", url, "-o", folder.path().join("f"), "--json"]).await,
         3,
     );
-    assert_eq!(fault["type"], "urn:tcgs:problem:no-artifact");
+    assert_eq!(error["type"], "urn:tcgs:problem:no-artifact");
     let watching = tokio::spawn(run(line!["watch", running, "--server", url, "--json"]));
     server.reaches(&running, "running").await;
     server.post(&format!("{running}/cancel")).await;
@@ -273,8 +273,8 @@ async fn what_the_service_refuses_and_what_fails_there_is_the_commands_failure()
     let free = tokio::net::TcpListener::bind("127.0.0.1:0").await.expect("a port");
     let nobody = format!("http://{}", free.local_addr().expect("bound"));
     drop(free);
-    let fault = failed(&run(line!["watch", absent, "--server", nobody, "--json"]).await, 4);
-    assert_eq!(fault["type"], "urn:tcgs:problem:unreachable");
+    let error = failed(&run(line!["watch", absent, "--server", nobody, "--json"]).await, 4);
+    assert_eq!(error["type"], "urn:tcgs:problem:unreachable");
 }
 
 /// A service that ends its streams of events early, and keeps what it was asked with.
@@ -404,7 +404,7 @@ async fn who_is_not_let_in_is_told_where_the_command_takes_its_key_from() {
 #[tokio::test]
 async fn a_variable_that_is_named_for_the_key_has_to_hold_one() {
     let job = JobId(uuid::Uuid::nil()).to_string();
-    for (environment, fault) in [
+    for (environment, error) in [
         (Vec::new(), "the variable MY_KEY is not set"),
         (vec![("MY_KEY", "  ".to_owned())], "the variable MY_KEY is empty"),
     ] {
@@ -412,7 +412,7 @@ async fn a_variable_that_is_named_for_the_key_has_to_hold_one() {
         let watch = line!["watch", job, "--key-env", "MY_KEY", "--json"];
         let output = run_with(watch, [environment, vec![usual]].concat()).await;
         assert_eq!(failed(&output, 2)["type"], "urn:tcgs:problem:usage");
-        assert!(text(&output.stderr).contains(fault), "{}", text(&output.stderr));
+        assert!(text(&output.stderr).contains(error), "{}", text(&output.stderr));
     }
 }
 

@@ -58,8 +58,8 @@ async fn jobs_are_listed_cancelled_retried_and_deleted() {
     assert_eq!((&answer["id"], &answer["cancel_requested"]), (&json!(running), &json!(true)));
     server.reaches(&format!("/v1/jobs/{running}"), "cancelled").await;
     succeeded(&tcgs(&["cancel", running]).await);
-    let fault = failed(&tcgs(&["cancel", done, "--json"]).await, 3);
-    assert_eq!(fault["type"], "urn:tcgs:problem:job-finished");
+    let error = failed(&tcgs(&["cancel", done, "--json"]).await, 3);
+    assert_eq!(error["type"], "urn:tcgs:problem:job-finished");
 
     let new =
         succeeded(&tcgs(&["retry", running, "--without-checkpoint", "--deadline", "600", "--json"]).await);
@@ -69,16 +69,16 @@ async fn jobs_are_listed_cancelled_retried_and_deleted() {
     let told = tcgs(&["retry", broken]).await;
     succeeded(&told);
     assert!(text(&told.stdout).contains(&format!("--server {url}")), "{}", text(&told.stdout));
-    let fault = failed(&tcgs(&["retry", done, "--json"]).await, 3);
-    assert_eq!(fault["type"], "urn:tcgs:problem:job-not-retryable");
+    let error = failed(&tcgs(&["retry", done, "--json"]).await, 3);
+    assert_eq!(error["type"], "urn:tcgs:problem:job-not-retryable");
 
-    let fault = failed(&tcgs(&["delete", again, "--json"]).await, 3);
-    assert_eq!(fault["type"], "urn:tcgs:problem:job-active");
+    let error = failed(&tcgs(&["delete", again, "--json"]).await, 3);
+    assert_eq!(error["type"], "urn:tcgs:problem:job-active");
     let deleted = tcgs(&["delete", &format!("{url}/v1/jobs/{done}"), "--json"]).await;
     assert_eq!(succeeded(&deleted), json!({ "id": done, "deleted": true }));
     for command in ["delete", "cancel", "retry"] {
-        let fault = failed(&tcgs(&[command, done, "--json"]).await, 3);
-        assert_eq!(fault["type"], "urn:tcgs:problem:job-not-found", "{command}");
+        let error = failed(&tcgs(&[command, done, "--json"]).await, 3);
+        assert_eq!(error["type"], "urn:tcgs:problem:job-not-found", "{command}");
     }
     succeeded(&tcgs(&["cancel", again]).await);
 }

@@ -35,7 +35,7 @@ fn text(stream: &[u8]) -> &str {
 /// Standard output as the one JSON document that it must be.
 fn json(output: &Output) -> Value {
     serde_json::from_slice(&output.stdout)
-        .unwrap_or_else(|fault| panic!("{fault} in standard output: {}", text(&output.stdout)))
+        .unwrap_or_else(|error| panic!("{error} in standard output: {}", text(&output.stdout)))
 }
 
 fn path(path: &Path) -> &str {

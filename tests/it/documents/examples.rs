@@ -296,10 +296,10 @@ async fn the_client_in_python_survives_connections_that_break_at_any_byte() {
     for (round, cuts) in cuts.into_iter().enumerate() {
         let mut rules = Vec::new();
         for bytes in cuts {
-            rules.extend(TARGETS.map(|target| Rule { target, fault: Fault::Answer(bytes) }));
+            rules.extend(TARGETS.map(|target| Rule { target, error: Fault::Answer(bytes) }));
             // Within the request's head and its body.
-            rules.push(Rule { target: "PATCH /v1/uploads", fault: Fault::Request(bytes * 8) });
-            rules.push(Rule { target: "POST /v1/jobs", fault: Fault::Request(bytes) });
+            rules.push(Rule { target: "PATCH /v1/uploads", error: Fault::Request(bytes * 8) });
+            rules.push(Rule { target: "POST /v1/jobs", error: Fault::Request(bytes) });
         }
         let (_, left) = runs_through(&server, &key, rules).await;
         // The shortest answers end before the later cuts, and are then not asked for again.
@@ -320,9 +320,9 @@ async fn the_client_in_python_comes_again_when_it_is_asked_to() {
         "HTTP/1.1 429 Too Many Requests\r\nRetry-After: 0\r\nContent-Length: 0\r\nConnection: close\r\n\r\n";
     let busy = "HTTP/1.1 503 Service Unavailable\r\nRetry-After: 1\r\nContent-Length: 0\r\nConnection: close\r\n\r\n";
     let mut rules: Vec<Rule> =
-        TARGETS.map(|target| Rule { target, fault: Fault::Says(many) }).into_iter().collect();
-    rules.push(Rule { target: "POST /v1/jobs", fault: Fault::Says(busy) });
-    rules.push(Rule { target: "/artifact", fault: Fault::Says(busy) });
+        TARGETS.map(|target| Rule { target, error: Fault::Says(many) }).into_iter().collect();
+    rules.push(Rule { target: "POST /v1/jobs", error: Fault::Says(busy) });
+    rules.push(Rule { target: "/artifact", error: Fault::Says(busy) });
     let (said, left) = runs_through(&server, &key, rules).await;
     assert_eq!(left, 0, "rules met no request");
     let asked = |seconds: &str| said.matches(&format!("the service asks to wait {seconds} s")).count();

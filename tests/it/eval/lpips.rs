@@ -115,15 +115,15 @@ fn images_that_cannot_be_compared_are_refused() {
     let lpips = Lpips::from_safetensors(&file(&weights("alex"))).expect("weights");
     let distance = |a: &Image, b: &Image| lpips.distance(a, b);
     let (small, _) = images(30, 64);
-    let fault = distance(&small, &small).expect_err("too small");
+    let error = distance(&small, &small).expect_err("too small");
     assert!(
         matches!(
-            fault,
+            error,
             LpipsError::TooSmall { network: LpipsNetwork::Alex, width: 30, height: 64, least: 31 }
         ),
-        "{fault}"
+        "{error}"
     );
-    let problem = Problem::from(fault);
+    let problem = Problem::from(error);
     assert_eq!((problem.status, problem.kind.as_str()), (422, "urn:tcgs:problem:lpips-images"));
     assert!(problem.detail.contains("30x64") && problem.detail.contains("31"), "{}", problem.detail);
     let (least, other) = images(31, 31);
@@ -144,7 +144,7 @@ fn vgg_needs_sixteen_pixels_a_side() {
 }
 
 /// The fault of AlexNet's weights after a change to them.
-fn fault(change: impl FnOnce(&mut Vec<Tensor>)) -> LpipsError {
+fn error(change: impl FnOnce(&mut Vec<Tensor>)) -> LpipsError {
     let mut tensors = weights("alex");
     change(&mut tensors);
     Lpips::from_safetensors(&file(&tensors)).expect_err("the weights are spoilt")
@@ -158,13 +158,13 @@ fn weights_that_cannot_be_used_are_refused_by_the_tensors_name() {
         assert!(matches!(Lpips::from_safetensors(&whole[..length]), Err(LpipsError::NotSafetensors(_))));
     }
 
-    let missing = fault(|tensors| tensors.retain(|tensor| tensor.name != "lin3.model.1.weight"));
+    let missing = error(|tensors| tensors.retain(|tensor| tensor.name != "lin3.model.1.weight"));
     assert!(matches!(missing, LpipsError::Missing { .. }), "{missing}");
     assert!(missing.to_string().contains("lin3.model.1.weight"), "{missing}");
-    let empty = fault(Vec::clear);
+    let empty = error(Vec::clear);
     assert!(empty.to_string().contains("features.0.weight or net.slice1.0.weight"), "{empty}");
 
-    let shape = fault(|tensors| {
+    let shape = error(|tensors| {
         let spoilt = named(tensors, "net.slice3.6.weight");
         *spoilt = Tensor::new(&spoilt.name.clone(), &[384, 192, 1, 1], vec![0.0; 384 * 192]);
     });
@@ -173,13 +173,13 @@ fn weights_that_cannot_be_used_are_refused_by_the_tensors_name() {
         assert!(text.contains(part), "{text}");
     }
 
-    let other = fault(|tensors| {
+    let other = error(|tensors| {
         let spoilt = named(tensors, "net.slice1.0.weight");
         *spoilt = Tensor::new(&spoilt.name.clone(), &[96, 3, 7, 7], vec![0.0; 96 * 3 * 49]);
     });
     assert!(matches!(other, LpipsError::UnknownNetwork { .. }), "{other}");
 
-    let half = fault(|tensors| {
+    let half = error(|tensors| {
         let spoilt = named(tensors, "net.slice2.3.bias");
         (spoilt.dtype, spoilt.bytes) = (Dtype::F16, vec![0; 192 * 2]);
     });
@@ -187,11 +187,11 @@ fn weights_that_cannot_be_used_are_refused_by_the_tensors_name() {
     assert!(half.to_string().contains("net.slice2.3.bias"), "{half}");
 
     for (name, value) in [("lin0.model.1.weight", f32::NAN), ("net.slice4.8.weight", f32::INFINITY)] {
-        let fault = fault(|tensors| named(tensors, name).bytes[..4].copy_from_slice(&value.to_le_bytes()));
-        assert!(matches!(&fault, LpipsError::Value { tensor } if tensor == name), "{fault}");
+        let error = error(|tensors| named(tensors, name).bytes[..4].copy_from_slice(&value.to_le_bytes()));
+        assert!(matches!(&error, LpipsError::Value { tensor } if tensor == name), "{error}");
     }
     let zero =
-        fault(|tensors| tensors.push(Tensor::new("scaling_layer.scale", &[1, 3, 1, 1], [1.0, 0.0, 1.0])));
+        error(|tensors| tensors.push(Tensor::new("scaling_layer.scale", &[1, 3, 1, 1], [1.0, 0.0, 1.0])));
     assert!(matches!(&zero, LpipsError::Value { tensor } if tensor == "scaling_layer.scale"), "{zero}");
     assert_eq!(Problem::from(zero).kind, "urn:tcgs:problem:lpips-weights");
 }

@@ -154,10 +154,10 @@ async fn messages_to_webhooks_are_counted_by_what_became_of_them() {
     for dataset in ["succeed", "succeed 2", "succeed 3"] {
         server.create(dataset).await;
     }
-    let fault = Some("as the test wants it".to_owned());
+    let error = Some("as the test wants it".to_owned());
     for settled in [
         DeliveryResult { response_status: Some(204), error: None, next: AfterAttempt::Done },
-        DeliveryResult { response_status: Some(500), error: fault, next: AfterAttempt::GiveUp },
+        DeliveryResult { response_status: Some(500), error, next: AfterAttempt::GiveUp },
     ] {
         let due =
             server.store.take_delivery(Duration::from_secs(60)).await.expect("an answer").expect("a message");

@@ -147,7 +147,7 @@ pub(super) async fn projects_are_made_changed_and_listed_by_administrators(cover
     server.send("PATCH", &path, stale).await.expect_problem(412, "precondition-failed");
 
     for (method, place) in [("POST", "/v1/projects"), ("PATCH", &*path)] {
-        for (fault, named) in [
+        for (error, named) in [
             (json!({ "name": "" }), "name"),
             (json!({ "name": "a\nb" }), "name"),
             (json!({ "name": "x", "max_bytes": 1_u64 << 63 }), "max_bytes"),
@@ -156,8 +156,8 @@ pub(super) async fn projects_are_made_changed_and_listed_by_administrators(cover
             (json!({ "name": "x", "color": "red" }), "color"),
         ] {
             let detail =
-                ask(method, place, fault.clone()).await.expect_problem(422, "invalid-project-request");
-            assert!(detail.contains(named), "{fault}: {detail}");
+                ask(method, place, error.clone()).await.expect_problem(422, "invalid-project-request");
+            assert!(detail.contains(named), "{error}: {detail}");
         }
     }
     for absent in ["/v1/projects/17", "/v1/projects/0190a5d8-0000-7000-8000-000000000000"] {
@@ -239,7 +239,7 @@ pub(super) async fn keys_expire_and_are_changed(coverage: Coverage) {
     jobs().await.expect(200);
 
     let past = clock.now().to_string();
-    for (fault, named) in [
+    for (error, named) in [
         (json!({ "expires_at": past }), "expires_at"),
         (json!({ "expires_at": "tomorrow" }), "year"),
         (json!({ "name": " " }), "name"),
@@ -247,8 +247,8 @@ pub(super) async fn keys_expire_and_are_changed(coverage: Coverage) {
         (json!({ "requests_per_minute": 0 }), "nonzero"),
         (json!([null, null]), "array"),
     ] {
-        let detail = ask("PATCH", &path, fault.clone()).await.expect_problem(422, "invalid-key-request");
-        assert!(detail.contains(named), "{fault}: {detail}");
+        let detail = ask("PATCH", &path, error.clone()).await.expect_problem(422, "invalid-key-request");
+        assert!(detail.contains(named), "{error}: {detail}");
     }
     let new = json!({ "name": "x", "scopes": ["read"], "expires_at": past });
     ask("POST", "/v1/keys", new).await.expect_problem(422, "invalid-key-request");
@@ -389,18 +389,18 @@ pub(super) async fn jobs_have_names_labels_attempts_and_places_in_the_queue(cove
         ("metadata[a]=x%0Ay", "metadata"),
         ("metadata=x", "metadata"),
     ] {
-        let fault = server.upload(&format!("?{query}"), "succeed").await;
-        assert_eq!(fault.status, 422, "{query}");
-        assert!(String::from_utf8_lossy(&fault.body).contains(named), "{query}");
+        let error = server.upload(&format!("?{query}"), "succeed").await;
+        assert_eq!(error.status, 422, "{query}");
+        assert!(String::from_utf8_lossy(&error.body).contains(named), "{query}");
     }
-    for fault in [
+    for error in [
         json!({ "scene_id": scene, "name": 7 }),
         json!({ "scene_id": scene, "name": "n".repeat(101) }),
         json!({ "scene_id": scene, "metadata": { "a": 1 } }),
         json!({ "scene_id": scene, "metadata": { "a": "v".repeat(513) } }),
         json!({ "scene_id": scene, "metadata": ["a"] }),
     ] {
-        server.post_json("/v1/jobs", &fault).await.expect_problem(422, "invalid-parameter");
+        server.post_json("/v1/jobs", &error).await.expect_problem(422, "invalid-parameter");
     }
     for query in ["created_from=yesterday", "created_before=1", "project_id=17", "metadata[]=x"] {
         server.get(&format!("/v1/jobs?{query}")).await.expect_problem(422, "invalid-parameter");

@@ -219,7 +219,7 @@ pub(super) async fn a_jobs_life_is_told_in_signed_messages(coverage: Coverage) {
     let rest = server.get(page["next"].as_str().expect("more")).await.expect(200).json();
     assert_eq!((&rest["deliveries"][0]["event"], &rest["next"]), (&json!("job.queued"), &Value::Null));
 
-    // Told again on request, with the same id.
+    // ListenerState again on request, with the same id.
     let replay = done["links"]["replay"].as_str().expect("a path");
     let again = server.post(replay).await.expect(202).json();
     assert_eq!((&again["state"], &again["id"]), (&json!("pending"), &done["id"]));
@@ -306,7 +306,7 @@ pub(super) async fn an_endpoint_that_is_gone_is_told_nothing_more(coverage: Cove
     server.create("succeed 1").await;
     assert_eq!(receiver.next().await.path, "/");
     let redirected = until(&server, &made, |delivery| delivery["response_status"] == 307).await;
-    assert!(redirected["error"].as_str().is_some_and(|fault| fault.contains("not followed")));
+    assert!(redirected["error"].as_str().is_some_and(|error| error.contains("not followed")));
     assert!(receiver.is_quiet(), "redirections are not followed");
 
     receiver.answer(Manner::Status(503, vec![("retry-after", "3600".into())]));
@@ -386,7 +386,7 @@ async fn a_name_with_any_address_that_is_not_allowed_is_not_asked() {
     let _delivering = deliver(&server, LOCAL, lookups(&[&["127.0.0.1", "10.0.0.1"], &["127.0.0.1"]]));
     server.create("succeed").await;
     let refused = until(&server, &made, |delivery| !delivery["error"].is_null()).await;
-    assert!(refused["error"].as_str().is_some_and(|fault| fault.contains("private")), "{refused}");
+    assert!(refused["error"].as_str().is_some_and(|error| error.contains("private")), "{refused}");
     assert_eq!(refused["response_status"], Value::Null);
     assert!(receiver.is_quiet(), "not even the good one");
     clock.advance(SignedDuration::from_secs(10));
@@ -411,7 +411,7 @@ async fn where_loopback_is_not_allowed_neither_names_nor_numbers_lead_there() {
         server.create("succeed").await;
         let stop = deliver(&server, strict, lookups(&[&["127.0.0.1"]]));
         let refused = until(&server, &made, |delivery| !delivery["error"].is_null()).await;
-        assert!(refused["error"].as_str().is_some_and(|fault| fault.contains(named)), "{url}: {refused}");
+        assert!(refused["error"].as_str().is_some_and(|error| error.contains(named)), "{url}: {refused}");
         stop.abort();
     }
     assert!(receiver.is_quiet());
@@ -512,13 +512,13 @@ async fn messages_go_over_tls_to_who_shows_a_certificate_that_is_trusted_and_to_
         );
     }
     let unknown_to_us = "the endpoint's certificate is signed by no authority that is trusted here";
-    for (made, fault) in [
+    for (made, error) in [
         (&made[2], "the endpoint's certificate is for another name"),
         (&made[3], unknown_to_us),
         (&made[4], unknown_to_us),
     ] {
         let failed = until(&server, made, |delivery| !delivery["error"].is_null()).await;
-        assert_eq!((&failed["error"], &failed["response_status"]), (&json!(fault), &Value::Null));
+        assert_eq!((&failed["error"], &failed["response_status"]), (&json!(error), &Value::Null));
         assert_eq!(
             (&failed["state"], &failed["attempts"]),
             (&json!("pending"), &json!(1)),
@@ -544,7 +544,7 @@ async fn messages_go_over_tls_to_who_shows_a_certificate_that_is_trusted_and_to_
     let _delivering = deliver_trusting(&server, OutboundPolicy::default(), local, &both);
     server.create("succeed again").await;
     let refused = until(&server, &made[0], |delivery| !delivery["error"].is_null()).await;
-    assert!(refused["error"].as_str().is_some_and(|fault| fault.contains("loopback")), "{refused}");
+    assert!(refused["error"].as_str().is_some_and(|error| error.contains("loopback")), "{refused}");
     assert!(sound.is_quiet());
 }
 

@@ -23,7 +23,7 @@ use tokio_util::sync::CancellationToken;
 use crate::support::{
     bucket::{S3Server, connect},
     database::Database,
-    fault_store::FaultStore,
+    faulty_bucket::FaultyBucket,
     gate::{Gate, GateState},
 };
 
@@ -138,7 +138,7 @@ async fn a_blob_in_a_bucket_reads_back_whole_in_parts_and_as_a_file() {
 #[tokio::test]
 async fn content_that_is_large_is_never_put_in_one_request() {
     let Some(fixture) = Fixture::new().await else { return };
-    let objects = FaultStore::new(fixture.objects.clone());
+    let objects = FaultyBucket::new(fixture.objects.clone());
     let store = Arc::new(fixture.database.open(fixture.clock.clone(), QueuePolicy::default()).await);
     let blobs = Blobs::open_bucket(fixture.folder.path(), Arc::new(objects.clone()), store).await;
     let blobs = blobs.expect("a bucket");
@@ -378,7 +378,7 @@ async fn a_publication_is_new_until_another_publisher_announces_or_renews_it() {
 #[tokio::test]
 async fn a_slow_publication_cannot_be_undone_once_another_counts_on_the_object() {
     let Some(fixture) = Fixture::new().await else { return };
-    let objects = FaultStore::new(fixture.objects.clone());
+    let objects = FaultyBucket::new(fixture.objects.clone());
     let store = Arc::new(fixture.database.open(fixture.clock.clone(), QueuePolicy::default()).await);
     let slow = Blobs::open_bucket(fixture.folder.path(), Arc::new(objects.clone()), store).await;
     let slow = slow.expect("another replica");

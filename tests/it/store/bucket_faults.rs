@@ -21,7 +21,7 @@ use uuid::Uuid;
 use crate::support::{
     bucket::S3Server,
     database::Database,
-    fault_store::{FaultStore, Side},
+    faulty_bucket::{FaultyBucket, Side},
 };
 
 /// More requests than anything here makes.
@@ -30,7 +30,7 @@ const MAX_REQUESTS: u32 = 100;
 struct Fixture {
     store: Arc<Store>,
     blobs: Blobs,
-    faults: FaultStore,
+    faults: FaultyBucket,
     clock: Arc<ManualClock>,
     /// The bucket without faults.
     objects: Arc<dyn ObjectStore>,
@@ -47,7 +47,7 @@ impl Fixture {
         let clock = Arc::new(ManualClock::new(now));
         let store = Arc::new(database.open(clock.clone(), QueuePolicy::default()).await);
         let objects = server.connect(&server.prefix());
-        let faults = FaultStore::new(objects.clone());
+        let faults = FaultyBucket::new(objects.clone());
         let blobs = Blobs::open_bucket(folder.path(), Arc::new(faults.clone()), store.clone());
         let blobs = blobs.await.expect("a bucket");
         Some(Self { store, blobs, faults, clock, objects, database, _folder: folder })

@@ -27,7 +27,7 @@ pub enum Fault {
 #[derive(Debug, Clone, Copy)]
 pub struct Rule {
     pub target: &'static str,
-    pub fault: Fault,
+    pub error: Fault,
 }
 
 /// A running proxy.
@@ -85,26 +85,26 @@ async fn pass(client: TcpStream, service: SocketAddr, rules: Arc<Mutex<Vec<Rule>
         }
     }
     head.push_str("Connection: close\r\n\r\n");
-    let fault = {
+    let error = {
         let first = head.lines().next().unwrap_or_default();
         let mut rules = rules.lock().expect("not poisoned");
         let place = rules.iter().position(|rule| first.contains(rule.target));
-        place.map(|place| rules.remove(place).fault)
+        place.map(|place| rules.remove(place).error)
     };
     let mut request = head.into_bytes();
-    if let Some(Fault::Request(bytes)) = fault {
+    if let Some(Fault::Request(bytes)) = error {
         length = length.min(bytes.saturating_sub(request.len()));
         request.truncate(bytes);
     }
     let mut body = vec![0; length];
     client.read_exact(&mut body).await?;
-    if let Some(Fault::Says(answer)) = fault {
+    if let Some(Fault::Says(answer)) = error {
         return client.write_all(answer.as_bytes()).await;
     }
     let mut upstream = TcpStream::connect(service).await?;
     upstream.write_all(&request).await?;
     upstream.write_all(&body).await?;
-    let mut left = match fault {
+    let mut left = match error {
         Some(Fault::Request(_)) => return Ok(()),
         Some(Fault::Answer(bytes)) => bytes,
         _ => usize::MAX,

@@ -20,7 +20,7 @@ use tcgs::{
         SceneFormat, SceneFrame, SceneScale, Scores, Split, TrainOptions, ViewScore, WorkerCounts, Workers,
     },
     engine::{SceneEngine, SceneSource},
-    pipeline::{Checkpoints, CurveFile, JobError, JobOutput, RunJob},
+    pipeline::{CheckpointPlan, CurveFile, JobError, JobOutput, RunJob},
     render::{
         RenderViews,
         views::{ScalarImage, ScalarKind, Viewable},
@@ -79,7 +79,7 @@ impl RunJob for FakeRunner {
         &self,
         dataset: &Path,
         options: &TrainOptions,
-        _checkpoints: &Checkpoints,
+        _checkpoints: &CheckpointPlan,
         report: &mut dyn FnMut(Phase, &Progress),
         cancel: &CancelFlag,
     ) -> Result<JobOutput, JobError> {
@@ -314,8 +314,8 @@ pub fn check(dataset: &Path) -> Result<DatasetSummary, Problem> {
     let content = fs::read(dataset).expect("the staged file is readable");
     assert!(!content.starts_with(b"bomb"), "as the test wants it");
     if content.starts_with(b"bad") {
-        let fault = "frame 3 has a focal length of 0; it must be a positive number of pixels";
-        return Err(Problem::new(ProblemType::InvalidDataset, fault).in_file("transforms.json"));
+        let error = "frame 3 has a focal length of 0; it must be a positive number of pixels";
+        return Err(Problem::new(ProblemType::InvalidDataset, error).in_file("transforms.json"));
     }
     Ok(DatasetSummary {
         layout: Layout::Blender,

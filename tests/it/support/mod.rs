@@ -14,8 +14,8 @@ pub mod dataset;
 pub mod deployment;
 pub mod eventually;
 pub mod fakes;
-pub mod fault_store;
 pub mod faults;
+pub mod faulty_bucket;
 pub mod gate;
 pub mod gpu;
 #[cfg(target_os = "linux")]

@@ -148,7 +148,7 @@ impl Oracle {
     }
 
     /// The derivatives of the loss by the image: red, green, blue, alpha.
-    pub fn v_image(&self) -> Vec<[f64; 4]> {
+    pub fn d_image(&self) -> Vec<[f64; 4]> {
         let rgb = self.rows("in.v_rgb", 3);
         rgb.iter().zip(self.numbers("in.v_alpha")).map(|(v, alpha)| [v[0], v[1], v[2], alpha]).collect()
     }
@@ -183,7 +183,7 @@ impl Oracle {
 /// What a deflated file of `tests/oracles` holds.
 pub fn committed(name: &str) -> Vec<u8> {
     let path = root().join("tests/oracles").join(name);
-    let file = std::fs::File::open(&path).unwrap_or_else(|fault| panic!("{}: {fault}", path.display()));
+    let file = std::fs::File::open(&path).unwrap_or_else(|error| panic!("{}: {error}", path.display()));
     let mut bytes = Vec::new();
     GzDecoder::new(file).read_to_end(&mut bytes).expect("gzip");
     bytes

@@ -56,11 +56,11 @@ impl Scene {
 pub struct Rendered {
     pub counts: RasterCounts,
     pub image: Vec<[f32; 4]>,
-    pub v_means_opacity: Vec<[f32; 4]>,
-    pub v_scales: Vec<[f32; 4]>,
-    pub v_quats: Vec<[f32; 4]>,
-    pub v_colors: Vec<[f32; 4]>,
-    pub v_means2d: Vec<[f32; 4]>,
+    pub d_means_opacity: Vec<[f32; 4]>,
+    pub d_scales: Vec<[f32; 4]>,
+    pub d_quats: Vec<[f32; 4]>,
+    pub d_colors: Vec<[f32; 4]>,
+    pub d_means2d: Vec<[f32; 4]>,
 }
 
 /// The first `count` rows of each section of a geometry: positions and opacities, scales, quaternions.
@@ -86,7 +86,7 @@ pub fn render(
     scene: &Scene,
     camera: &Camera,
     background: [f32; 3],
-    v_image: &[[f32; 4]],
+    d_image: &[[f32; 4]],
 ) -> Rendered {
     let gaussians = scene.upload(device);
     let counts = loop {
@@ -99,21 +99,21 @@ pub fn render(
         }
         rasterizer.grow(&counts).expect("grown");
     };
-    let v_image = device.upload("v_image", v_image).expect("v_image");
+    let d_image = device.upload("v_image", d_image).expect("v_image");
     let out = spoiled_gradients(device, scene.len());
     let mut recorder = device.recorder("backward");
-    rasterizer.backward(&mut recorder, &gaussians, camera, &v_image, &out).expect("recorded");
+    rasterizer.backward(&mut recorder, &gaussians, camera, &d_image, &out).expect("recorded");
     recorder.submit().expect("submitted");
     let read = |buffer| device.read(buffer).expect("read");
-    let [v_means_opacity, v_scales, v_quats] = sections(device, &out.geometry, scene.len());
+    let [d_means_opacity, d_scales, d_quats] = sections(device, &out.geometry, scene.len());
     Rendered {
         counts,
         image: read(rasterizer.image()),
-        v_means_opacity,
-        v_scales,
-        v_quats,
-        v_colors: read(&out.colors),
-        v_means2d: read(&out.means2d),
+        d_means_opacity,
+        d_scales,
+        d_quats,
+        d_colors: read(&out.colors),
+        d_means2d: read(&out.means2d),
     }
 }
 

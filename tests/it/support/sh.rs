@@ -45,17 +45,17 @@ pub fn sh_colors(means: &Rows, sh: &Rows, eye: DVec3) -> Rows {
 }
 
 /// Gradients by the coefficients (48 a row) and by the means (3 a row) from those by the colors.
-pub fn sh_backward(means: &Rows, sh: &Rows, eye: DVec3, v_colors: &Rows) -> (Rows, Rows) {
-    let mut v_sh = Vec::new();
-    let mut v_means = Vec::new();
-    for ((mean, sh), v) in means.iter().zip(sh).zip(v_colors) {
+pub fn sh_backward(means: &Rows, sh: &Rows, eye: DVec3, d_colors: &Rows) -> (Rows, Rows) {
+    let mut d_sh = Vec::new();
+    let mut d_means = Vec::new();
+    for ((mean, sh), v) in means.iter().zip(sh).zip(d_colors) {
         let raw = raw_color(mean, sh, eye);
         let v =
             DVec3::new(v[0], v[1], v[2]) * DVec3::from(raw.to_array().map(|c| f64::from(u8::from(c > 0.0))));
         let ray = DVec3::new(mean[0], mean[1], mean[2]) - eye;
         let direction = ray.normalize();
         let values = basis(direction);
-        v_sh.push((0..48).map(|i| values[i / 3] * v[i % 3]).collect());
+        d_sh.push((0..48).map(|i| values[i / 3] * v[i % 3]).collect());
         // The basis is cubic, so this combination of two central differences is exact.
         let slopes = |axis: usize, step: f64| {
             let mut offset = DVec3::ZERO;
@@ -63,15 +63,15 @@ pub fn sh_backward(means: &Rows, sh: &Rows, eye: DVec3, v_colors: &Rows) -> (Row
             let (above, below) = (basis(direction + offset), basis(direction - offset));
             (0..16).map(move |k| (above[k] - below[k]) / (2.0 * step))
         };
-        let mut v_direction = DVec3::ZERO;
+        let mut d_direction = DVec3::ZERO;
         for axis in 0..3 {
             for (k, (near, far)) in slopes(axis, 0.5).zip(slopes(axis, 1.0)).enumerate() {
                 let slope = (4.0 * near - far) / 3.0;
-                v_direction[axis] += slope * (0..3).map(|c| sh[3 * k + c] * v[c]).sum::<f64>();
+                d_direction[axis] += slope * (0..3).map(|c| sh[3 * k + c] * v[c]).sum::<f64>();
             }
         }
-        let v_mean = (v_direction - direction * direction.dot(v_direction)) / ray.length();
-        v_means.push(v_mean.to_array().to_vec());
+        let d_mean = (d_direction - direction * direction.dot(d_direction)) / ray.length();
+        d_means.push(d_mean.to_array().to_vec());
     }
-    (v_sh, v_means)
+    (d_sh, d_means)
 }

@@ -21,13 +21,13 @@ impl SmallDisk {
         let size = format!("size={mebibytes}m,mode=0700");
         let mounted =
             Command::new("mount").args(["-t", "tmpfs", "-o", &size, "tmpfs"]).arg(folder.path()).output();
-        let fault = match mounted {
+        let error = match mounted {
             Ok(output) if output.status.success() => return Some(Self { folder }),
             Ok(output) => String::from_utf8_lossy(&output.stderr).into_owned(),
-            Err(fault) => fault.to_string(),
+            Err(error) => error.to_string(),
         };
-        assert!(std::env::var("CI").as_deref() != Ok("true"), "no small disk: {fault}");
-        eprintln!("SKIPPED: a small disk cannot be mounted: {fault}");
+        assert!(std::env::var("CI").as_deref() != Ok("true"), "no small disk: {error}");
+        eprintln!("SKIPPED: a small disk cannot be mounted: {error}");
         None
     }
 
@@ -43,8 +43,8 @@ impl SmallDisk {
             loop {
                 match file.write(&block) {
                     Ok(_) => {}
-                    Err(fault) if fault.kind() == ErrorKind::StorageFull => break,
-                    Err(fault) => panic!("{fault}"),
+                    Err(error) if error.kind() == ErrorKind::StorageFull => break,
+                    Err(error) => panic!("{error}"),
                 }
             }
         }

@@ -16,7 +16,7 @@ use tcgs::{
     domain::{
         Camera, CancelFlag, Convention, Digest, Image, Intrinsics, Phase, Pose, Progress, TrainOptions,
     },
-    pipeline::{Checkpoints, JobError, Pipeline, Resume, RunJob as _},
+    pipeline::{CheckpointPlan, JobError, Pipeline, Resume, RunJob as _},
     render::{RenderViews as _, SceneViewer, views::Viewable},
     sample::{self, Settings},
 };
@@ -470,7 +470,7 @@ fn an_interrupted_command_goes_on_where_it_stopped() {
         .spawn()
         .expect("the binary runs");
     let mut said = BufReader::new(child.stderr.take().expect("piped")).lines().map_while(Result::ok);
-    // Told with the first round of growth, which is in the middle of the run.
+    // ListenerState with the first round of growth, which is in the middle of the run.
     assert!(said.any(|line| line.contains("grown")), "nothing grew");
     // As `timeout`, containers and batch systems stop a command; an interrupt does the same.
     kill("-TERM", child.id());
@@ -503,7 +503,7 @@ fn a_checkpoint_that_cannot_be_used_makes_a_job_start_over_and_a_resumed_run_fai
     let pipeline = Pipeline::new(gpu::choice());
     let options = TrainOptions { iterations: Some(2), ..TrainOptions::default() };
     let run = |resume: Resume| {
-        let checkpoints = Checkpoints { keep: Some(kept.clone()), resume };
+        let checkpoints = CheckpointPlan { keep: Some(kept.clone()), resume };
         let mut steps = Vec::new();
         let mut report = |_: Phase, progress: &Progress| steps.push(progress.step);
         let output =
@@ -529,7 +529,7 @@ fn a_run_reports_every_phase_and_figure_and_stops_when_asked() {
     let options = TrainOptions { iterations: Some(STEPS), seed: SEED, ..TrainOptions::default() };
     let mut reports: Vec<(Phase, Progress)> = Vec::new();
     let mut report = |phase: Phase, progress: &Progress| reports.push((phase, progress.clone()));
-    let fresh = Checkpoints::default();
+    let fresh = CheckpointPlan::default();
     let output = pipeline
         .run(&scene.directory(), &options, &fresh, &mut report, &CancelFlag::default())
         .expect("a file");

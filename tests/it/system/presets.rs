@@ -6,7 +6,7 @@ use serde_json::json;
 use tcgs::{
     codec::{DecodeLimits, Decoded, decode, inspect},
     domain::{CancelFlag, Choices, Component, Preset, SizeBound, TrainOptions},
-    pipeline::{Checkpoints, JobOutput, Pipeline, RunJob as _},
+    pipeline::{CheckpointPlan, JobOutput, Pipeline, RunJob as _},
     sample::{self, Settings},
     train::Schedule,
 };
@@ -22,7 +22,7 @@ static DATASET: LazyLock<TempDir> = LazyLock::new(|| {
 
 fn run(options: &TrainOptions) -> (JobOutput, Decoded) {
     let options = options.clone().validated().expect("possible");
-    let (checkpoints, cancel) = (Checkpoints::default(), CancelFlag::default());
+    let (checkpoints, cancel) = (CheckpointPlan::default(), CancelFlag::default());
     let output = Pipeline::new(choice())
         .run(&DATASET.path().join("set"), &options, &checkpoints, &mut |_, _| (), &cancel)
         .unwrap_or_else(|failure| panic!("{options:?}: {failure:?}"));

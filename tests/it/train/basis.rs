@@ -2,7 +2,7 @@
 
 use tcgs::{
     domain::{CancelFlag, Component, TrainOptions},
-    pipeline::{Checkpoints, JobOutput, Pipeline, RunJob},
+    pipeline::{CheckpointPlan, JobOutput, Pipeline, RunJob},
     sample::{self, Settings},
 };
 
@@ -11,7 +11,7 @@ use crate::support::gpu::choice;
 fn run(dataset: &std::path::Path, options: &TrainOptions) -> JobOutput {
     let options = options.clone().validated().expect("possible");
     Pipeline::new(choice())
-        .run(dataset, &options, &Checkpoints::default(), &mut |_, _| (), &CancelFlag::default())
+        .run(dataset, &options, &CheckpointPlan::default(), &mut |_, _| (), &CancelFlag::default())
         .expect("a file")
 }
 

@@ -230,15 +230,15 @@ fn checkpoints_of_other_runs_are_refused_before_the_first_step() {
     let refused = |dataset: &Dataset, options: &TrainOptions| {
         let checkpoints = Checkpoints { resume: Some(checkpoint.clone()), sink: None };
         match outcome(dataset, options, checkpoints) {
-            Err(TrainError::Checkpoint(fault)) => fault,
+            Err(TrainError::Checkpoint(error)) => error,
             other => panic!("not refused: {other:?}"),
         }
     };
-    let fault = refused(&dataset(), &options(2, 6));
-    assert!(fault.to_string().contains("seed is 5 in the checkpoint and 6 here"), "{fault}");
-    let fault = refused(&dataset(), &options(3, 5));
-    assert!(fault.to_string().contains("iterations is 2 in the checkpoint and 3 here"), "{fault}");
-    assert_eq!(Problem::from(fault).status, 422);
+    let error = refused(&dataset(), &options(2, 6));
+    assert!(error.to_string().contains("seed is 5 in the checkpoint and 6 here"), "{error}");
+    let error = refused(&dataset(), &options(3, 5));
+    assert!(error.to_string().contains("iterations is 2 in the checkpoint and 3 here"), "{error}");
+    assert_eq!(Problem::from(error).status, 422);
     let other = Dataset { digest: Digest::of(b"other"), ..dataset() };
     assert!(matches!(refused(&other, &options(2, 5)), CheckpointError::Dataset { .. }));
 }
@@ -253,8 +253,8 @@ fn a_checkpoint_that_cannot_be_kept_does_not_end_the_run() {
 
         fn save(&mut self, _: &Checkpoint) -> Result<(), CheckpointError> {
             self.0 += 1;
-            let fault = std::io::ErrorKind::StorageFull.into();
-            Err(CheckpointError::Io { path: "somewhere".into(), fault })
+            let error = std::io::ErrorKind::StorageFull.into();
+            Err(CheckpointError::Io { path: "somewhere".into(), error })
         }
     }
     let mut full = Full(0);

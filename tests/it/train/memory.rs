@@ -16,7 +16,7 @@ use tcgs::{
     },
     gpu::{Device, GpuError},
     ingest::{self, LoadBudget},
-    pipeline::{Checkpoints, JobError, Pipeline, RunJob as _},
+    pipeline::{CheckpointPlan, JobError, Pipeline, RunJob as _},
     train::{Needs, TrainError, Trainer},
 };
 use tempfile::TempDir;
@@ -124,11 +124,11 @@ fn a_buffer_beyond_the_budget_is_an_error_and_the_device_goes_on() {
     let device = Device::new(&gpu::choice()).expect("an adapter");
     device.set_budget_bytes(1 << 20);
     let kept = device.buffer::<f32>("kept", 200_000).expect("within the budget");
-    let fault = device.buffer::<f32>("too much", 100_000).expect_err("beyond it");
-    assert!(matches!(fault, GpuError::OverBudget { .. }), "{fault}");
-    assert_eq!(Problem::from(fault).status, 507);
-    let fault = device.read(&kept).expect_err("a transfer needs room too");
-    assert!(matches!(fault, GpuError::OverBudget { .. }), "{fault}");
+    let error = device.buffer::<f32>("too much", 100_000).expect_err("beyond it");
+    assert!(matches!(error, GpuError::OverBudget { .. }), "{error}");
+    assert_eq!(Problem::from(error).status, 507);
+    let error = device.read(&kept).expect_err("a transfer needs room too");
+    assert!(matches!(error, GpuError::OverBudget { .. }), "{error}");
     let mut recorder = device.recorder("a large write");
     recorder.write(&kept, &vec![1.0; 200_000]);
     assert!(matches!(recorder.submit(), Err(GpuError::OverBudget { .. })));
@@ -210,7 +210,7 @@ fn a_job_over_its_budget_fails_for_good_before_it_trains() {
         pipeline.run(
             folder.path(),
             &options(3),
-            &Checkpoints::default(),
+            &CheckpointPlan::default(),
             &mut |_, _| {},
             &CancelFlag::default(),
         )
@@ -237,7 +237,7 @@ fn a_full_disk_of_temporary_files_holds_a_job() {
         // Room for a few of the photographs.
         let limits = MemoryLimits { host: 64 << 10, gpu: Some(8 << 30) };
         let pipeline = Pipeline::new(gpu::choice()).within(limits, disk.path().to_owned());
-        let nothing = Checkpoints::default();
+        let nothing = CheckpointPlan::default();
         pipeline.run(folder.path(), &options(3), &nothing, &mut |_, _| {}, &CancelFlag::default())
     };
     disk.fill();
@@ -279,7 +279,8 @@ fn each_image_that_is_read_is_a_sign_of_life_and_a_chance_to_stop() {
                 cancel.cancel();
             }
         };
-        let ended = pipeline.run(folder.path(), &options(3), &Checkpoints::default(), &mut report, &cancel);
+        let ended =
+            pipeline.run(folder.path(), &options(3), &CheckpointPlan::default(), &mut report, &cancel);
         assert!(matches!(ended, Err(JobError::Cancelled)), "{:?}", ended.map(|_| ()));
         reports
     };

@@ -9,7 +9,7 @@ use tcgs_engine::train::{Adam, AdamStep, FIRST_LOGIT, MaskRows, OffsetMasks, twi
 use tcgs_render::model::all_offsets;
 use tcgs_render::{
     DeviceAnchors, NeuralGaussians, RasterSettings, Rasterizer,
-    model::Shape,
+    model::ModelShape,
     twin::{GaussianGradient, neural},
 };
 
@@ -34,7 +34,7 @@ fn random_logits(rng: &mut Pcg64, count: usize) -> Vec<f32> {
 }
 
 /// A scene whose masks follow from random logits.
-fn masked_scene(seed: u64, shape: Shape, count: usize, camera: &Camera) -> (Scene, MaskRows) {
+fn masked_scene(seed: u64, shape: ModelShape, count: usize, camera: &Camera) -> (Scene, MaskRows) {
     let mut scene = Scene::random(seed, shape, count, 2.0, &projection(camera));
     let mut rng = Pcg64::seed_from_u64(seed);
     let rows = MaskRows {
@@ -55,7 +55,7 @@ fn bits_are_set_above_the_level_alone() {
 
 #[test]
 fn the_twins_gradients_are_those_of_a_mask_that_passes_its_logistic_on() {
-    let shape = Shape::new(4, 5);
+    let shape = ModelShape::new(4, 5);
     let camera = random::camera(30, 20);
     let scene = Scene::random(4, shape, 1, 0.5, &projection(&camera));
     let spawned = neural::neural_forward(&projection(&camera), &scene.twin());
@@ -88,7 +88,7 @@ fn the_twins_gradients_are_those_of_a_mask_that_passes_its_logistic_on() {
     }
 }
 
-fn check_against_twins(shape: Shape, count: usize) {
+fn check_against_twins(shape: ModelShape, count: usize) {
     let device = gpu();
     let camera = random::camera(40, 30);
     let (scene, rows) = masked_scene(count as u64, shape, count, &camera);

@@ -9,7 +9,7 @@ use std::{
 use tcgs::{
     codec::{DecodeLimits, decode},
     domain::{CancelFlag, JobMetrics, Phase, Problem, Progress, TrainOptions},
-    pipeline::{Checkpoints, JobError, JobOutput, Pipeline, Resume, RunJob},
+    pipeline::{CheckpointPlan, JobError, JobOutput, Pipeline, Resume, RunJob},
     sample::{self, Settings},
     train::Schedule,
 };
@@ -40,7 +40,7 @@ fn with_limit(limit: u64) -> TrainOptions {
 
 fn run_with(
     options: &TrainOptions,
-    checkpoints: &Checkpoints,
+    checkpoints: &CheckpointPlan,
     report: &mut dyn FnMut(Phase, &Progress),
     cancel: &CancelFlag,
 ) -> Result<JobOutput, JobError> {
@@ -49,7 +49,7 @@ fn run_with(
 }
 
 fn run(options: &TrainOptions) -> Result<JobOutput, JobError> {
-    run_with(options, &Checkpoints::default(), &mut |_, _| (), &CancelFlag::default())
+    run_with(options, &CheckpointPlan::default(), &mut |_, _| (), &CancelFlag::default())
 }
 
 /// The run without a target size.
@@ -143,7 +143,7 @@ fn files(output: &JobOutput) -> Vec<(Option<f64>, Vec<u8>)> {
 fn every_branch_of_a_curve_is_the_run_that_its_weight_alone_would_be() {
     let mut reports = Vec::new();
     let mut report = |_: Phase, progress: &Progress| reports.push((progress.step, progress.total));
-    let nowhere = Checkpoints::default();
+    let nowhere = CheckpointPlan::default();
     let output = run_with(&curve(&WEIGHTS), &nowhere, &mut report, &CancelFlag::default()).expect("files");
     let written = files(&output);
     assert_eq!(written.iter().map(|file| file.0).collect::<Vec<_>>(), WEIGHTS.map(Some));
@@ -165,7 +165,7 @@ fn every_branch_of_a_curve_is_the_run_that_its_weight_alone_would_be() {
 /// Runs until `when` says so, then again with what is in `root`.
 fn interrupted(root: &Path, options: &TrainOptions, when: impl Fn(Phase, u64) -> bool) -> (JobOutput, u64) {
     let checkpoints =
-        Checkpoints { keep: Some(root.to_owned()), resume: Resume::IfPossible(root.to_owned()) };
+        CheckpointPlan { keep: Some(root.to_owned()), resume: Resume::IfPossible(root.to_owned()) };
     let cancel = CancelFlag::default();
     let mut report = |phase: Phase, progress: &Progress| {
         if when(phase, progress.step) {
@@ -208,7 +208,7 @@ fn a_curve_that_was_interrupted_goes_on_where_it_was() {
     assert!(first == fork || first >= second, "{first}");
 
     // Once all is done, nothing is trained at all.
-    let kept = Checkpoints { keep: Some(root.clone()), resume: Resume::From(root.clone()) };
+    let kept = CheckpointPlan { keep: Some(root.clone()), resume: Resume::From(root.clone()) };
     let mut steps = Vec::new();
     let mut report = |_: Phase, progress: &Progress| steps.push(progress.step);
     let again = run_with(&options, &kept, &mut report, &CancelFlag::default()).expect("files");
@@ -216,7 +216,7 @@ fn a_curve_that_was_interrupted_goes_on_where_it_was() {
     // What another run left is of no use.
     let other = TrainOptions { seed: 1, ..options };
     let fresh = files(&run(&other).expect("files"));
-    let kept = Checkpoints { keep: Some(root.clone()), resume: Resume::IfPossible(root.clone()) };
+    let kept = CheckpointPlan { keep: Some(root.clone()), resume: Resume::IfPossible(root.clone()) };
     let output = run_with(&other, &kept, &mut |_, _| (), &CancelFlag::default()).expect("files");
     assert!(files(&output) == fresh && fresh != whole);
     fs::remove_dir_all(root).expect("removed");
@@ -229,7 +229,7 @@ fn a_curve_that_goes_on_in_another_folder_needs_the_first_no_longer() {
     let fork = u64::from(Schedule::new(&options).fork_step());
     let folders = tempfile::tempdir().expect("a folder");
     let [first, second] = ["first", "second"].map(|name| folders.path().join(name));
-    let stop = |checkpoints: Checkpoints, at: u64| {
+    let stop = |checkpoints: CheckpointPlan, at: u64| {
         let cancel = CancelFlag::default();
         let mut report = |phase: Phase, progress: &Progress| {
             if phase == Phase::Train && progress.step >= at {
@@ -240,9 +240,9 @@ fn a_curve_that_goes_on_in_another_folder_needs_the_first_no_longer() {
         assert!(matches!(stopped, Err(JobError::Cancelled)), "{stopped:?}");
     };
     let in_the_second_branch = fork + 2 * (u64::from(STEPS) - fork) - 20;
-    stop(Checkpoints { keep: Some(first.clone()), resume: Resume::Fresh }, in_the_second_branch);
+    stop(CheckpointPlan { keep: Some(first.clone()), resume: Resume::Fresh }, in_the_second_branch);
     // Stopped again before a step.
-    stop(Checkpoints { keep: Some(second.clone()), resume: Resume::From(first.clone()) }, 0);
+    stop(CheckpointPlan { keep: Some(second.clone()), resume: Resume::From(first.clone()) }, 0);
     fs::remove_dir_all(&first).expect("removed");
     let mut steps = Vec::new();
     let mut report = |phase: Phase, progress: &Progress| {
@@ -250,7 +250,7 @@ fn a_curve_that_goes_on_in_another_folder_needs_the_first_no_longer() {
             steps.push(progress.step);
         }
     };
-    let checkpoints = Checkpoints { keep: Some(second.clone()), resume: Resume::From(second) };
+    let checkpoints = CheckpointPlan { keep: Some(second.clone()), resume: Resume::From(second) };
     let output = run_with(&options, &checkpoints, &mut report, &CancelFlag::default()).expect("files");
     assert!(files(&output) == whole);
     let again = steps.iter().any(|step| (fork + 1..in_the_second_branch).contains(step));

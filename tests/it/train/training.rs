@@ -300,8 +300,8 @@ fn a_dataset_that_cannot_begin_a_scene_is_refused() {
     assert!(matches!(refused(&without_frames), TrainError::NoTrainingFrames));
     let mut spoiled = dataset();
     spoiled.points.as_mut().expect("points").positions[3][1] = f64::NAN;
-    let fault = refused(&spoiled);
-    assert!(fault.to_string().contains("point 3"), "{fault}");
+    let error = refused(&spoiled);
+    assert!(error.to_string().contains("point 3"), "{error}");
 }
 
 #[test]

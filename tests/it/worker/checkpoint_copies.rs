@@ -12,7 +12,7 @@ use bytes::Bytes;
 use object_store::memory::InMemory;
 use tcgs::{
     domain::{CancelFlag, JobId, Phase, Problem, ProblemType, Progress, SystemClock, TrainOptions},
-    pipeline::{Checkpoints, JobError, JobOutput, Resume, RunJob},
+    pipeline::{CheckpointPlan, JobError, JobOutput, Resume, RunJob},
     store::{Blobs, NewJob, QueuePolicy, Store},
     worker::{self, WorkerConfig},
 };
@@ -21,7 +21,7 @@ use uuid::Uuid;
 
 use crate::support::{
     database::Database,
-    fault_store::{FaultStore, Side},
+    faulty_bucket::{FaultyBucket, Side},
     server::quick_worker,
 };
 
@@ -36,7 +36,7 @@ impl RunJob for OneRun {
         &self,
         _dataset: &Path,
         _options: &TrainOptions,
-        checkpoints: &Checkpoints,
+        checkpoints: &CheckpointPlan,
         _report: &mut dyn FnMut(Phase, &Progress),
         _cancel: &CancelFlag,
     ) -> Result<JobOutput, JobError> {
@@ -54,7 +54,7 @@ impl RunJob for OneRun {
 struct Fixture {
     store: Arc<Store>,
     blobs: Blobs,
-    faults: FaultStore,
+    faults: FaultyBucket,
     found: Arc<Mutex<Vec<bool>>>,
     folder: tempfile::TempDir,
     _database: Database,
@@ -65,7 +65,7 @@ impl Fixture {
         let database = Database::sqlite();
         let policy = QueuePolicy { hold_delay: Duration::ZERO, ..QueuePolicy::default() };
         let store = Arc::new(database.open(Arc::new(SystemClock), policy).await);
-        let faults = FaultStore::new(Arc::new(InMemory::new()));
+        let faults = FaultyBucket::new(Arc::new(InMemory::new()));
         let folder = tempfile::tempdir().expect("a folder");
         let blobs = Blobs::open_bucket(folder.path(), Arc::new(faults.clone()), store.clone());
         let blobs = blobs.await.expect("a bucket");

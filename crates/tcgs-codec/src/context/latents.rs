@@ -21,7 +21,7 @@ const DIGITS: usize = 8;
 
 /// Values `[images][edge][edge]` in turn, each image predicted or not.
 pub(crate) fn encode(latents: &[i8], edge: usize, stream: &mut StreamEncoder) {
-    let mut contexts = Contexts::new();
+    let mut contexts = LatentContexts::new();
     let mut bit = |context: &mut AdaptiveBit, bit: bool| {
         stream.adaptive(context, bit);
         Ok(bit)
@@ -37,7 +37,7 @@ pub(crate) fn encode(latents: &[i8], edge: usize, stream: &mut StreamEncoder) {
 pub(crate) fn decode(count: usize, edge: usize, stream: &mut StreamDecoder<'_>) -> Result<Vec<i8>> {
     let size = edge * edge;
     let mut latents = reserve("latents of planes", count * size)?;
-    let mut contexts = Contexts::new();
+    let mut contexts = LatentContexts::new();
     let mut bit = |context: &mut AdaptiveBit, _| stream.adaptive(context);
     for _ in 0..count {
         let start = latents.len();
@@ -73,7 +73,7 @@ fn digits(value: i32) -> usize {
 }
 
 /// The probabilities, common to all images.
-struct Contexts {
+struct LatentContexts {
     predicted: AdaptiveBit,
     /// Whether a residual has more digits than so many, by the digits of its neighbors.
     digits: [[AdaptiveBit; DIGITS]; DIGITS + 1],
@@ -83,7 +83,7 @@ struct Contexts {
     lower: [[AdaptiveBit; DIGITS]; DIGITS + 1],
 }
 
-impl Contexts {
+impl LatentContexts {
     fn new() -> Self {
         let new = AdaptiveBit::NEW;
         Self {
@@ -179,7 +179,7 @@ mod tests {
     #[test]
     fn latents_beyond_the_range_are_refused() {
         let mut stream = StreamEncoder::new();
-        let mut contexts = Contexts::new();
+        let mut contexts = LatentContexts::new();
         let mut bit = |context: &mut AdaptiveBit, bit: bool| {
             stream.adaptive(context, bit);
             Ok(bit)

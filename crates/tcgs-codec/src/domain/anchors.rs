@@ -150,7 +150,7 @@ impl AnchorScene {
         ];
         for (name, mlp, outputs) in networks {
             mlp.check(f + VIEW_INPUTS, outputs)
-                .map_err(|fault| SceneShapeError(format!("{name} network: {fault}")))?;
+                .map_err(|error| SceneShapeError(format!("{name} network: {error}")))?;
         }
         Ok(())
     }

@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 
 /// Mean PSNR of the views kept aside at a step of the run.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-pub struct AsideScore {
+pub struct ValidationScore {
     /// Steps done.
     pub step: u64,
     /// dB, of the scene as that step renders it.
@@ -17,7 +17,7 @@ pub struct Convergence {
     /// Names of the training views that were kept aside; empty if the dataset has too few views.
     pub views: Vec<String>,
     /// Their scores in the course of the run.
-    pub scores: Vec<AsideScore>,
+    pub scores: Vec<ValidationScore>,
     /// The step after which the run was found to have converged; null if it was not, and took its full length.
     pub converged_at: Option<u64>,
     /// The best smoothed score until then, in dB.

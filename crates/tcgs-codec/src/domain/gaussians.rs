@@ -160,14 +160,14 @@ mod tests {
     #[test]
     fn what_does_not_fit_is_named() {
         assert_eq!(scene().check(), Ok(()));
-        let fault = |change: fn(&mut GaussianScene)| {
+        let error = |change: fn(&mut GaussianScene)| {
             let mut changed = scene();
             change(&mut changed);
             changed.check().expect_err("a fault").to_string()
         };
-        assert!(fault(|s| s.quats.truncate(1)).contains("1 quaternions for 2 Gaussians"));
-        assert!(fault(|s| s.degree = 4).contains("degree 4"));
-        assert!(fault(|s| s.sh[1][15][2] = f32::NAN).contains("spherical harmonic is not finite"));
-        assert!(fault(|s| s.opacity_logits[0] = f32::INFINITY).contains("opacity is not finite"));
+        assert!(error(|s| s.quats.truncate(1)).contains("1 quaternions for 2 Gaussians"));
+        assert!(error(|s| s.degree = 4).contains("degree 4"));
+        assert!(error(|s| s.sh[1][15][2] = f32::NAN).contains("spherical harmonic is not finite"));
+        assert!(error(|s| s.opacity_logits[0] = f32::INFINITY).contains("opacity is not finite"));
     }
 }

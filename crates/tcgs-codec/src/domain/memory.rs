@@ -60,7 +60,7 @@ impl std::str::FromStr for Bytes {
     /// A whole number of bytes, or a number with one of the units KiB, MiB, GiB, TiB (or K, M, G, T, the same) and kB,
     /// MB, GB, TB (powers of ten), in any case.
     fn from_str(text: &str) -> Result<Self, String> {
-        let fault = || format!("'{text}' is not a number of bytes such as 4GiB, 500MB or 1073741824");
+        let error = || format!("'{text}' is not a number of bytes such as 4GiB, 500MB or 1073741824");
         let text = text.trim();
         let end = text.find(|c: char| !c.is_ascii_digit() && c != '.').unwrap_or(text.len());
         let (number, unit) = text.split_at(end);
@@ -74,7 +74,7 @@ impl std::str::FromStr for Bytes {
             "mb" => 1_000_000,
             "gb" => 1_000_000_000,
             "tb" => 1_000_000_000_000,
-            _ => return Err(fault()),
+            _ => return Err(error()),
         };
         let bytes = match number.parse::<u64>() {
             Ok(whole) => whole.checked_mul(factor),
@@ -86,7 +86,7 @@ impl std::str::FromStr for Bytes {
                 .filter(|bytes| *bytes < u64::MAX as f64)
                 .map(|bytes| bytes as u64),
         };
-        bytes.filter(|bytes| *bytes > 0).map(Self).ok_or_else(fault)
+        bytes.filter(|bytes| *bytes > 0).map(Self).ok_or_else(error)
     }
 }
 

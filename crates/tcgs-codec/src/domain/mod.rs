@@ -12,6 +12,7 @@ pub mod context_model;
 pub mod conventions;
 pub mod convergence;
 pub mod digest;
+pub mod evenly_spaced;
 pub mod format;
 pub mod gaussians;
 pub mod harmonics;
@@ -30,7 +31,6 @@ pub mod progress;
 pub mod scene_frame;
 pub mod scene_scale;
 pub mod series;
-pub mod spread;
 pub mod view;
 
 pub use anchors::{AnchorScene, DenseLayer, Lattice, Mlp, RenderNetworks};
@@ -41,7 +41,7 @@ pub use context_model::{
     UpLayer,
 };
 pub use conventions::{Conventions, LpipsNetwork};
-pub use convergence::{AsideScore, Convergence};
+pub use convergence::{Convergence, ValidationScore};
 pub use digest::Digest;
 pub use format::SceneFormat;
 pub use gaussians::{GaussianScene, Scene};

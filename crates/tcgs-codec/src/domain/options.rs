@@ -19,17 +19,17 @@ pub const MAX_CURVE_POINTS: usize = 8;
 
 /// An option value that is not understood or not possible.
 #[derive(Debug, Clone, PartialEq, Eq, Error)]
-#[error("{option}: {fault}")]
+#[error("{option}: {error}")]
 pub struct OptionError {
     /// Name of the option, as in the query string.
     pub option: &'static str,
     /// What is wrong and what would be right.
-    pub fault: String,
+    pub error: String,
 }
 
 impl OptionError {
-    fn new(option: &'static str, fault: impl Into<String>) -> Self {
-        Self { option, fault: fault.into() }
+    fn new(option: &'static str, error: impl Into<String>) -> Self {
+        Self { option, error: error.into() }
     }
 }
 
@@ -267,8 +267,8 @@ impl TrainOptions {
                 return Err(OptionError::new("lambda", format!("{lambda} is not a positive weight")));
             }
             if self.model != ModelKind::Tcgs {
-                let fault = format!("model '{}' has no rate term to weigh", self.model);
-                return Err(OptionError::new("lambda", fault));
+                let error = format!("model '{}' has no rate term to weigh", self.model);
+                return Err(OptionError::new("lambda", error));
             }
         }
         self.check_without()?;
@@ -279,11 +279,11 @@ impl TrainOptions {
     }
 
     fn check_voxel(&self) -> Result<(), OptionError> {
-        let fault = |text: String| Err(OptionError::new("voxel", text));
+        let error = |text: String| Err(OptionError::new("voxel", text));
         match self.voxel {
-            Voxel::Edge(edge) if !is_positive(edge) => fault(format!("{edge} is not a positive length")),
+            Voxel::Edge(edge) if !is_positive(edge) => error(format!("{edge} is not a positive length")),
             Voxel::Edge(_) | Voxel::Published if self.model == ModelKind::Gaussians3d => {
-                fault(format!("the model {} has no lattice", self.model))
+                error(format!("the model {} has no lattice", self.model))
             }
             _ => Ok(()),
         }
@@ -301,62 +301,62 @@ impl TrainOptions {
     }
 
     fn check_with(&self) -> Result<(), OptionError> {
-        let fault = |text: String| Err(OptionError::new("plane_compression", text));
+        let error = |text: String| Err(OptionError::new("plane_compression", text));
         match self.with.first() {
             None => Ok(()),
             Some(part) if self.with.len() > 1 || *part != Component::PlaneCompression => {
-                fault("no other part of the method is optional".to_owned())
+                error("no other part of the method is optional".to_owned())
             }
             Some(part) if !self.has(*part) || !self.has(Component::TriPlane) => {
-                fault(format!("the model {} has no planes to compress, or they are switched off", self.model))
+                error(format!("the model {} has no planes to compress, or they are switched off", self.model))
             }
             Some(_) => Ok(()),
         }
     }
 
     fn check_max_bytes(&self) -> Result<(), OptionError> {
-        let fault = |text: String| Err(OptionError::new("max_bytes", text));
+        let error = |text: String| Err(OptionError::new("max_bytes", text));
         match self.max_bytes {
             None => Ok(()),
-            Some(bytes) if bytes < MIN_MAX_BYTES => fault(format!(
+            Some(bytes) if bytes < MIN_MAX_BYTES => error(format!(
                 "no file has {bytes} bytes or fewer; its container alone takes {MIN_MAX_BYTES}"
             )),
             Some(_) if self.model != ModelKind::Tcgs => {
-                fault(format!("the model {} has no target size: it is written as floats", self.model))
+                error(format!("the model {} has no target size: it is written as floats", self.model))
             }
             Some(_) if !self.rd_curve.is_empty() => {
-                fault("is for one file, rd_curve for several; leave out one of them".to_owned())
+                error("is for one file, rd_curve for several; leave out one of them".to_owned())
             }
             Some(_) => Ok(()),
         }
     }
 
     fn check_rd_curve(&self) -> Result<(), OptionError> {
-        let fault = |text: String| Err(OptionError::new("rd_curve", text));
+        let error = |text: String| Err(OptionError::new("rd_curve", text));
         let curve = &self.rd_curve;
         if curve.is_empty() {
             return Ok(());
         }
         if self.model != ModelKind::Tcgs {
-            return fault(format!("the model {} has no rate to weigh", self.model));
+            return error(format!("the model {} has no rate to weigh", self.model));
         }
         if self.until != Until::Full {
-            return fault(
+            return error(
                 "its branches share steps by number; leave out until=converged or rd_curve".to_owned(),
             );
         }
         if self.lambda.is_some() {
-            return fault("each of its points has its own lambda; leave out lambda or rd_curve".to_owned());
+            return error("each of its points has its own lambda; leave out lambda or rd_curve".to_owned());
         }
         if curve.len() > MAX_CURVE_POINTS {
-            return fault(format!("{} points are more than {MAX_CURVE_POINTS}", curve.len()));
+            return error(format!("{} points are more than {MAX_CURVE_POINTS}", curve.len()));
         }
         for (index, lambda) in curve.iter().enumerate() {
             if !is_positive(*lambda) {
-                return fault(format!("{lambda} is not a positive weight"));
+                return error(format!("{lambda} is not a positive weight"));
             }
             if curve[..index].contains(lambda) {
-                return fault(format!("{lambda} is given twice"));
+                return error(format!("{lambda} is given twice"));
             }
         }
         Ok(())
@@ -662,8 +662,8 @@ mod tests {
         set_option(&mut options, "background", "white").expect("a background");
         assert_eq!(options.preset, Preset::Standard);
         assert_eq!(options.iterations, Some(1500));
-        let fault = set_option(&mut options, "preset", "fast").expect_err("no such preset");
-        assert_eq!(fault.to_string(), "preset: 'fast' is not one of preview, standard, paper");
+        let error = set_option(&mut options, "preset", "fast").expect_err("no such preset");
+        assert_eq!(error.to_string(), "preset: 'fast' is not one of preview, standard, paper");
         assert!(set_option(&mut options, "seed", "-1").is_err());
         assert!(TrainOption::named("color").is_none());
     }
@@ -682,8 +682,8 @@ mod tests {
             let mut options = TrainOptions::default();
             row.default.into_iter().for_each(|text| row.set(&mut options, text).expect("a value"));
             assert_eq!(options, TrainOptions::default(), "{}", row.name);
-            let fault = row.set(&mut options, "?").expect_err("no value");
-            assert_eq!(fault.to_string(), format!("{}: '?' is not {}", row.name, row.kind));
+            let error = row.set(&mut options, "?").expect_err("no value");
+            assert_eq!(error.to_string(), format!("{}: '?' is not {}", row.name, row.kind));
         }
     }
 
@@ -713,8 +713,8 @@ mod tests {
             ("rd_curve", json!(["0.1"])),
             ("rd_curve", json!(0.1)),
         ] {
-            let fault = set(name, value.clone()).expect_err("another kind");
-            assert!(fault.option == name && fault.fault.contains(&value.to_string()), "{name}: {fault}");
+            let error = set(name, value.clone()).expect_err("another kind");
+            assert!(error.option == name && error.error.contains(&value.to_string()), "{name}: {error}");
         }
     }
 
@@ -791,7 +791,7 @@ mod tests {
         assert_eq!(serde_json::to_value(&options).expect("JSON")["with"], json!(["plane-compression"]));
         let usual = serde_json::to_value(TrainOptions::default()).expect("JSON");
         assert!(usual.get("with").is_none(), "it is not serialized unless set");
-        for (fault, option) in [
+        for (error, option) in [
             (asked(ModelKind::Tcgs, &[], "masks"), "with"),
             (asked(ModelKind::Tcgs, &[], "hope"), "with"),
             (
@@ -801,7 +801,7 @@ mod tests {
             (asked(ModelKind::Tcgs, &[Component::TriPlane], "plane-compression"), "plane_compression"),
             (asked(ModelKind::Scaffold, &[], "plane-compression"), "plane_compression"),
         ] {
-            assert_eq!(fault.expect_err("refused").option, option);
+            assert_eq!(error.expect_err("refused").option, option);
         }
         let stored: TrainOptions = serde_json::from_value(json!({ "with": ["masks"] })).expect("options");
         assert_eq!(stored.validated().expect_err("refused").option, "plane_compression");
@@ -846,8 +846,8 @@ mod tests {
             assert_eq!(validated(wrong).expect_err("impossible").option, "max_bytes", "{wrong:?}");
         }
         for text in ["-1", "1e6", "5 MB", ""] {
-            let fault = set_option(&mut TrainOptions::default(), "max_bytes", text).expect_err(text);
-            assert_eq!(fault.option, "max_bytes");
+            let error = set_option(&mut TrainOptions::default(), "max_bytes", text).expect_err(text);
+            assert_eq!(error.option, "max_bytes");
         }
     }
 

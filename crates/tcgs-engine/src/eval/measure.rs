@@ -33,7 +33,7 @@ impl<E: From<RenderError> + Send> ViewMeasurement<'_, E> {
             let mut score = score_view(&frame.name, render, photograph)?;
             score.lpips = lpips.and_then(|lpips| {
                 let distance = lpips.distance(render, photograph);
-                distance.inspect_err(|fault| tracing::warn!("{}: no LPIPS: {fault}", frame.name)).ok()
+                distance.inspect_err(|error| tracing::warn!("{}: no LPIPS: {error}", frame.name)).ok()
             });
             Some(score)
         })

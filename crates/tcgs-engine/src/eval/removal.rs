@@ -12,7 +12,7 @@ use super::removal_signs::signs;
 use crate::{
     domain::{AnchorScene, Background, Camera, Frame, SceneFrame},
     gpu::Device,
-    model::{AnchorRows, NetworkLayout, Shape},
+    model::{AnchorRows, ModelShape, NetworkLayout},
     render::{DeviceAnchors, NeuralGaussians, RasterSettings, Rasterizer, RenderError},
 };
 
@@ -93,7 +93,7 @@ impl<'a> Probe<'a> {
         scene: &AnchorScene,
         background: Background,
     ) -> Result<Self, RenderError> {
-        let shape = Shape::of(scene);
+        let shape = ModelShape::of(scene);
         shape.check().map_err(RenderError::Scene)?;
         let networks =
             NetworkLayout::new(shape).from_networks(&scene.networks).map_err(RenderError::Scene)?;
@@ -147,13 +147,13 @@ impl<'a> Probe<'a> {
         Ok(())
     }
 
-    /// The gradients by the opacities of the view's Gaussians where `v_image` are those by its pixels.
-    fn opacity_gradients(&mut self, camera: &Camera, v_image: &[[f32; 4]]) -> Result<Vec<f32>, RenderError> {
-        let v_image = self.device.upload("gradient of a probe", v_image)?;
+    /// The gradients by the opacities of the view's Gaussians where `d_image` are those by its pixels.
+    fn opacity_gradients(&mut self, camera: &Camera, d_image: &[[f32; 4]]) -> Result<Vec<f32>, RenderError> {
+        let d_image = self.device.upload("gradient of a probe", d_image)?;
         let gaussians = self.neural.gaussians().clone();
         let gradients = self.neural.gaussian_gradients()?.clone();
         let mut recorder = self.device.recorder("probe");
-        self.raster.backward(&mut recorder, &gaussians, camera, &v_image, &gradients)?;
+        self.raster.backward(&mut recorder, &gaussians, camera, &d_image, &gradients)?;
         recorder.submit()?;
         let count = self.neural.counts()?[0] as usize;
         let rows = self.device.read_range(&gradients.geometry, 0, count)?;

@@ -19,7 +19,7 @@ pub(super) const SIZE: (u32, u32) = (8, 6);
 pub(super) struct Set(pub(super) BTreeMap<String, Vec<u8>>);
 
 /// A set written somewhere for as long as this lives.
-pub(super) struct Written {
+pub(super) struct TempFile {
     pub(super) path: PathBuf,
     _folder: TempDir,
 }
@@ -48,14 +48,14 @@ impl Set {
         Self(self.0.into_iter().map(|(name, content)| (format!("{folder}/{name}"), content)).collect())
     }
 
-    pub(super) fn directory(&self) -> Written {
+    pub(super) fn directory(&self) -> TempFile {
         let folder = tempfile::tempdir().expect("a temporary folder");
         for (name, content) in &self.0 {
             let path = folder.path().join(name);
             fs::create_dir_all(path.parent().expect("a parent")).expect("created");
             fs::write(path, content).expect("written");
         }
-        Written { path: folder.path().to_owned(), _folder: folder }
+        TempFile { path: folder.path().to_owned(), _folder: folder }
     }
 
     pub(super) fn archive(&self) -> Vec<u8> {
@@ -69,11 +69,11 @@ impl Set {
 }
 
 /// Bytes written to a file.
-pub(super) fn file(bytes: &[u8]) -> Written {
+pub(super) fn file(bytes: &[u8]) -> TempFile {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let path = folder.path().join("dataset.zip");
     fs::write(&path, bytes).expect("written");
-    Written { path, _folder: folder }
+    TempFile { path, _folder: folder }
 }
 
 /// A PNG of one color with alpha.

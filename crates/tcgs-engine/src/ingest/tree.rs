@@ -286,7 +286,7 @@ impl Tree {
         let (mut parse, mut outcome) = (Some(parse), None);
         let visited = self.source.open(entry.index, &mut |file| {
             let Some(parse) = parse.take() else { return };
-            let mut content = Content::new(file, largest, self.purpose.deadline());
+            let mut content = HashedContent::new(file, largest, self.purpose.deadline());
             let mut reader = BufReader::with_capacity(BUFFER_BYTES, &mut content);
             let parsed = if name.ends_with(BINARY_TABLE) {
                 parse(&mut reader, entry.size)
@@ -295,7 +295,7 @@ impl Tree {
             };
             // What ends this early is kept in `content`.
             let _rest = io::copy(&mut content, &mut io::sink());
-            let Content { hash, length, end, .. } = content;
+            let HashedContent { hash, length, end, .. } = content;
             outcome = Some((parsed, end, length, hash.finalize().into()));
         });
         visited.map_err(|error| self.read_failure(name, error))?;
@@ -385,7 +385,7 @@ impl Purpose {
 }
 
 /// A file's content on its way to a parser: hashed, counted, and ended by the first error.
-struct Content<'a> {
+struct HashedContent<'a> {
     file: &'a mut dyn Read,
     hash: Sha256,
     length: u64,
@@ -400,7 +400,7 @@ enum End {
     Refused(IngestErrorKind),
 }
 
-impl<'a> Content<'a> {
+impl<'a> HashedContent<'a> {
     fn new(file: &'a mut dyn Read, largest: u64, deadline: Deadline) -> Self {
         Self { file, hash: Sha256::new(), length: 0, largest, deadline, end: None }
     }
@@ -425,7 +425,7 @@ impl<'a> Content<'a> {
     }
 }
 
-impl Read for Content<'_> {
+impl Read for HashedContent<'_> {
     fn read(&mut self, into: &mut [u8]) -> io::Result<usize> {
         let ended = || io::Error::other("reading was ended");
         if self.end.is_some() {

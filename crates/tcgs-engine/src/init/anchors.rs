@@ -9,7 +9,7 @@ use super::{
     VoxelRule, choose_lattice,
     lattice::{coarse, neighbor_distances, voxelise},
 };
-use crate::model::{AnchorRows, Shape, all_offsets};
+use crate::model::{AnchorRows, ModelShape, all_offsets};
 
 /// A point set that cannot initialize a scene.
 #[derive(Debug, Clone, PartialEq, Eq, Error)]
@@ -40,7 +40,7 @@ pub fn random_points(rng: &mut impl Rng, count: usize, low: [f32; 3], high: [f32
 pub fn initial_rows(
     points: &[[f32; 3]],
     rule: VoxelRule,
-    shape: Shape,
+    shape: ModelShape,
     max_anchors: usize,
 ) -> Result<AnchorRows, InitError> {
     if points.is_empty() {
@@ -78,7 +78,7 @@ mod tests {
 
     use super::*;
 
-    const SHAPE: Shape = Shape::new(4, 3);
+    const SHAPE: ModelShape = ModelShape::new(4, 3);
 
     #[test]
     fn anchors_begin_with_zero_features_and_offsets_and_the_spacing_as_size() {

@@ -15,7 +15,7 @@ use super::{
 use crate::domain::Lattice;
 use crate::model::all_offsets;
 use crate::model::{
-    AnchorRows, GaussianRows, Shape,
+    AnchorRows, GaussianRows, ModelShape,
     gaussian_rows::{COLOR, LOG_SCALE, OPACITY, QUAT, SH_CONSTANT},
 };
 
@@ -111,7 +111,7 @@ pub fn anchors_from_gaussians(
     rows: &GaussianRows,
     rule: impl FnOnce(&[[f32; 3]]) -> VoxelRule,
     cell: i32,
-    shape: Shape,
+    shape: ModelShape,
     max_anchors: usize,
     units: PassingUnits,
     rng: &mut impl Rng,
@@ -206,7 +206,7 @@ fn place(lattice: &Lattice, groups: &[Group]) -> Vec<[i32; 3]> {
 /// Log-scalings and offsets. Offsets without a Gaussian lie anywhere in the cell.
 fn write_geometry(
     row: &mut [f32],
-    shape: Shape,
+    shape: ModelShape,
     lattice: &Lattice,
     position: Vec3,
     group: &Group,
@@ -227,7 +227,7 @@ fn write_geometry(
 }
 
 /// Appends what the networks are to say of an anchor's slots.
-fn say(row: &[f32], shape: Shape, group: &Group, to: &mut SlotValues) {
+fn say(row: &[f32], shape: ModelShape, group: &Group, to: &mut SlotValues) {
     let slots: Vec<[f64; SLOT]> = group
         .members
         .iter()
@@ -269,7 +269,7 @@ mod tests {
     use super::*;
     use crate::{init::first_anchors::tests::outputs, model::NetworkLayout};
 
-    const SHAPE: Shape = Shape::new(16, 4);
+    const SHAPE: ModelShape = ModelShape::new(16, 4);
 
     /// Gaussians over a sphere whose color, size and opacity change slowly along it.
     fn sphere(count: usize) -> GaussianRows {

@@ -12,7 +12,7 @@ use super::{
     first_anchors::{SLOT, SlotValues},
     initial_rows,
 };
-use crate::model::{AnchorRows, Shape};
+use crate::model::{AnchorRows, ModelShape};
 
 /// Opacity of every slot.
 const OPACITY: f64 = 0.1;
@@ -35,7 +35,7 @@ pub fn anchors_from_points(
     points: &[[f32; 3]],
     colors: &[[u8; 3]],
     rule: VoxelRule,
-    shape: Shape,
+    shape: ModelShape,
     max_anchors: usize,
     rng: &mut impl Rng,
 ) -> Result<FirstAnchors, InitError> {
@@ -87,7 +87,7 @@ mod tests {
     use super::*;
     use crate::init::first_anchors::tests::outputs;
 
-    const SHAPE: Shape = Shape::new(32, 4);
+    const SHAPE: ModelShape = ModelShape::new(32, 4);
 
     /// A grid of points, two of a cell, one twice as bright as the other.
     fn points() -> (Vec<[f32; 3]>, Vec<[u8; 3]>) {

@@ -8,7 +8,7 @@ use super::{
     branches::{self, FinishedBranch},
     error::JobError,
     inputs::RunInputs,
-    job::{Checkpoints, CurveFile, Resume},
+    job::{CheckpointPlan, CurveFile, Resume},
     train_file::{TrainedFile, train_file, with_checkpoints},
 };
 use crate::{
@@ -20,7 +20,7 @@ use crate::{
 pub(super) fn run_curve(
     inputs: &RunInputs<'_>,
     options: &TrainOptions,
-    checkpoints: &Checkpoints,
+    checkpoints: &CheckpointPlan,
     report: &mut dyn FnMut(Phase, &Progress),
 ) -> Result<(TrainedFile, Vec<CurveFile>), JobError> {
     let schedule = Schedule::new(options);
@@ -61,7 +61,7 @@ pub(super) fn run_curve(
                 continue;
             }
             let fork = trunk.clone().fork(options, branch).map_err(TrainError::from)?;
-            let own = Checkpoints {
+            let own = CheckpointPlan {
                 keep: checkpoints.keep.as_ref().map(|root| branches::folder(root, number)),
                 resume: source
                     .map_or(Resume::Fresh, |root| Resume::IfPossible(branches::folder(root, number))),

@@ -35,7 +35,7 @@ const QUALITY_VIEWS: usize = 8;
 const IMPORTANCE_VIEWS: usize = 64;
 
 /// A file as written, and as it reads back.
-pub(super) struct Written {
+pub(super) struct EncodedFile {
     pub(super) bytes: Vec<u8>,
     pub(super) file: SceneFile,
     pub(super) budget: Option<ByteBudget>,
@@ -50,7 +50,7 @@ pub(super) fn write_file(
     options: &TrainOptions,
     trained: &Trained,
     heartbeat: &mut dyn FnMut(),
-) -> Result<Written, JobError> {
+) -> Result<EncodedFile, JobError> {
     let began = Instant::now();
     let (background, dataset) = (options.background, Some(inputs.dataset.digest));
     let context = trained.context.as_ref();
@@ -81,7 +81,7 @@ pub(super) fn write_file(
         }
         None => None,
     };
-    Ok(Written { bytes, file, budget, coding, encode_seconds, decode_seconds })
+    Ok(EncodedFile { bytes, file, budget, coding, encode_seconds, decode_seconds })
 }
 
 /// The file of a trained scene: `.tcgs`, or the file of a baseline. `dataset` and `options` are those that it was trained with.

@@ -36,7 +36,7 @@ impl From<ingest::IngestError> for JobError {
             IngestErrorKind::SpillFull { .. } => Self::Hold(error.into()),
             ref kind if is_no_space(kind) => Self::Hold(error.into()),
             IngestErrorKind::Spill(_) => Self::Retry(error.into()),
-            IngestErrorKind::Io(ref fault) if fault.raw_os_error().is_some() => Self::Retry(error.into()),
+            IngestErrorKind::Io(ref cause) if cause.raw_os_error().is_some() => Self::Retry(error.into()),
             _ => Self::Fail(error.into()),
         }
     }
@@ -89,7 +89,7 @@ mod tests {
     #[test]
     fn a_full_disk_holds_a_job_and_a_broken_one_costs_it_an_attempt() {
         let spill = |kind: io::ErrorKind| IngestErrorKind::Spill(kind.into());
-        for (fault, expected) in [
+        for (error, expected) in [
             (IngestErrorKind::SpillFull { bytes: 3 }, "hold"),
             (IngestErrorKind::Io(io::ErrorKind::StorageFull.into()), "hold"),
             (IngestErrorKind::Io(io::ErrorKind::QuotaExceeded.into()), "hold"),
@@ -101,8 +101,8 @@ mod tests {
             (IngestErrorKind::Io(io::ErrorKind::InvalidData.into()), "fail"),
             (IngestErrorKind::Stopped, "cancelled"),
         ] {
-            let message = fault.to_string();
-            let outcome = match JobError::from(ingest::IngestError::from(fault)) {
+            let message = error.to_string();
+            let outcome = match JobError::from(ingest::IngestError::from(error)) {
                 JobError::Hold(_) => "hold",
                 JobError::Retry(_) => "retry",
                 JobError::Fail(_) => "fail",

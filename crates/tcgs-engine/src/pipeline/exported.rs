@@ -5,7 +5,7 @@ use std::time::Instant;
 use crate::{
     domain::{
         Background, Camera, ExportFidelity, GaussianScene, Image, NearPlane, Problem, ProblemType, Scene,
-        SceneFormat, SceneFrame, harmonics, spread::spread,
+        SceneFormat, SceneFrame, evenly_spaced::evenly_spaced, harmonics,
     },
     eval::{mean_scores_with, psnr, score_view},
     export::{
@@ -222,7 +222,7 @@ pub fn fidelity(
 ) -> Result<Option<ExportFidelity>, Problem> {
     let exported = exported_beside(source, exported, source.viewable.background)?;
     let (mut sum, mut views) = (0.0, 0_u32);
-    for camera in spread(cameras, FIDELITY_VIEWS) {
+    for camera in evenly_spaced(cameras, FIDELITY_VIEWS) {
         sum += pair(source, &exported, &camera.within(FIDELITY_SIDE))?.psnr;
         views += 1;
     }
@@ -293,8 +293,8 @@ fn lowered(mut scene: GaussianScene, degree: u8) -> GaussianScene {
     scene
 }
 
-fn not_exportable(fault: impl std::fmt::Display) -> Problem {
-    Problem::new(ProblemType::NotExportable, fault.to_string())
+fn not_exportable(error: impl std::fmt::Display) -> Problem {
+    Problem::new(ProblemType::NotExportable, error.to_string())
 }
 
 #[cfg(test)]

@@ -6,7 +6,7 @@ use jiff::SignedDuration;
 
 use super::error::JobError;
 use crate::{
-    domain::{CancelFlag, Dataset, Frame, MemoryBudget, Split, TrainOptions, spread::spread},
+    domain::{CancelFlag, Dataset, Frame, MemoryBudget, Split, TrainOptions, evenly_spaced::evenly_spaced},
     eval::Lpips,
     gpu::Device,
     train::Trainer,
@@ -50,7 +50,7 @@ impl<'a> RunInputs<'a> {
     /// At most `max` of the training views, evenly spread.
     pub(super) fn train_views(&self, max: usize) -> Vec<&'a Frame> {
         let frames: Vec<&Frame> = self.dataset.split(Split::Train).collect();
-        spread(&frames, max).copied().collect()
+        evenly_spaced(&frames, max).copied().collect()
     }
 
     /// Fails once the job is cancelled.

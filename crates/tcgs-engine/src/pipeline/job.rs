@@ -56,7 +56,7 @@ pub enum Resume {
 
 /// Where a run keeps its checkpoints and what it starts from. The result does not depend on either.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
-pub struct Checkpoints {
+pub struct CheckpointPlan {
     /// The folder for checkpoints, if any are to be kept.
     pub keep: Option<PathBuf>,
     /// What the run starts from.
@@ -74,7 +74,7 @@ pub trait RunJob: Send + Sync + 'static {
         &self,
         dataset: &Path,
         options: &TrainOptions,
-        checkpoints: &Checkpoints,
+        checkpoints: &CheckpointPlan,
         report: &mut dyn FnMut(Phase, &Progress),
         cancel: &CancelFlag,
     ) -> Result<JobOutput, JobError>;

@@ -1,7 +1,7 @@
 //! The figures of a finished file: of its scene as read back, not of the scene that was trained.
 
 use super::{
-    encode::Written,
+    encode::EncodedFile,
     error::JobError,
     inputs::RunInputs,
     stages::{coding_stages, rendering_error},
@@ -23,7 +23,7 @@ pub(super) fn measure(
     inputs: &RunInputs<'_>,
     background: Background,
     trained: &Trained,
-    written: &Written,
+    written: &EncodedFile,
     heartbeat: &mut dyn FnMut(),
 ) -> Result<JobMetrics, JobError> {
     let file = &written.file;

@@ -34,7 +34,7 @@ use tracing::Span;
 pub use encode::encode;
 pub use error::JobError;
 pub use inputs::ReferenceViews;
-pub use job::{Checkpoints, CurveFile, JobOutput, Resume, RunJob};
+pub use job::{CheckpointPlan, CurveFile, JobOutput, Resume, RunJob};
 
 use self::{
     curve::run_curve,
@@ -149,7 +149,7 @@ impl RunJob for Pipeline {
         &self,
         dataset: &Path,
         options: &TrainOptions,
-        checkpoints: &Checkpoints,
+        checkpoints: &CheckpointPlan,
         report: &mut dyn FnMut(Phase, &Progress),
         cancel: &CancelFlag,
     ) -> Result<JobOutput, JobError> {

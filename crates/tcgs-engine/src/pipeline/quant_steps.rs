@@ -127,7 +127,7 @@ mod tests {
     use crate::{
         codec::{self, ContextSettings, EncodeSettings, Provenance},
         domain::Lattice,
-        model::{AnchorRows, NetworkLayout, Shape},
+        model::{AnchorRows, ModelShape, NetworkLayout},
     };
 
     #[test]
@@ -153,7 +153,7 @@ mod tests {
 
     #[test]
     fn the_finest_steps_of_a_scene_with_one_huge_anchor_can_be_encoded() {
-        let shape = Shape::new(4, 2);
+        let shape = ModelShape::new(4, 2);
         let layout = NetworkLayout::new(shape);
         let mut values = vec![0.0; 2 * shape.row()];
         values[shape.scaling_column()..shape.offset_column()].fill(-9.0);

@@ -8,7 +8,7 @@ use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 
 use super::{
-    encode::Written,
+    encode::EncodedFile,
     error::JobError,
     inputs::{ReferenceViews, RunInputs},
 };
@@ -16,7 +16,7 @@ use crate::{
     codec::{DecodeLimits, StoredSteps, stored_steps},
     domain::{
         AnchorScene, Background, CodingStages, Frame, RenderingError, Scene, SceneFormat,
-        anchors::SCALINGS_PER_ANCHOR, spread::spread,
+        anchors::SCALINGS_PER_ANCHOR, evenly_spaced::evenly_spaced,
     },
     eval::{ColorError, ViewMeasurement, reference_view},
     render::{Renderer, twin::Cutoffs},
@@ -31,11 +31,11 @@ pub(super) fn coding_stages(
     inputs: &RunInputs<'_>,
     background: Background,
     trained: &Trained,
-    written: &Written,
+    written: &EncodedFile,
     heartbeat: &mut dyn FnMut(),
 ) -> Result<Option<CodingStages>, JobError> {
     let test_views = inputs.test_views();
-    let frames: Vec<&Frame> = spread(&test_views, STAGE_VIEWS).copied().collect();
+    let frames: Vec<&Frame> = evenly_spaced(&test_views, STAGE_VIEWS).copied().collect();
     let (Scene::Anchors(decoded), Scene::Anchors(scene)) = (&written.file.scene, &trained.scene) else {
         return Ok(None);
     };
@@ -106,7 +106,7 @@ pub(super) fn rendering_error(
 ) -> Result<Option<RenderingError>, JobError> {
     let Some(ReferenceViews { views, max_side }) = inputs.reference else { return Ok(None) };
     let test_views = inputs.test_views();
-    let frames: Vec<&Frame> = spread(&test_views, views).copied().collect();
+    let frames: Vec<&Frame> = evenly_spaced(&test_views, views).copied().collect();
     let Some(first) = frames.first() else { return Ok(None) };
     let mut renderer = Renderer::of_scene(&inputs.device, scene, background)?;
     let (mut squares, mut max, mut cutoff_squares) = (0.0, 0.0_f64, 0.0);

@@ -6,7 +6,7 @@ use super::{
     encode::write_file,
     error::JobError,
     inputs::RunInputs,
-    job::{Checkpoints, Resume},
+    job::{CheckpointPlan, Resume},
     measure::measure,
 };
 use crate::{
@@ -28,7 +28,7 @@ pub(super) struct TrainedFile {
 pub(super) fn train_file(
     inputs: &RunInputs<'_>,
     options: &TrainOptions,
-    checkpoints: &Checkpoints,
+    checkpoints: &CheckpointPlan,
     start: Option<Checkpoint>,
     report: &mut dyn FnMut(Phase, &Progress),
 ) -> Result<TrainedFile, JobError> {
@@ -56,7 +56,7 @@ pub(super) fn train_file(
 /// Runs `train` from a checkpoint if there is one to resume from, else from `start`.
 pub(super) fn with_checkpoints<T>(
     inputs: &RunInputs<'_>,
-    checkpoints: &Checkpoints,
+    checkpoints: &CheckpointPlan,
     start: Option<Checkpoint>,
     train: &mut dyn FnMut(train::Checkpoints<'_>) -> Result<T, TrainError>,
 ) -> Result<T, JobError> {

@@ -11,7 +11,7 @@ use image::{ExtendedColorType, ImageEncoder, codecs::png::PngEncoder};
 use serde_json::json;
 use zip::{CompressionMethod, ZipWriter, write::SimpleFileOptions};
 
-use super::{SampleError, Settings, Written, points, scene::Scene, views};
+use super::{SampleCounts, SampleError, Settings, points, scene::Scene, views};
 use crate::domain::{Camera, Convention, Image, PointCloud};
 
 /// Folder of the images, and file of the points, inside the scene's folder.
@@ -21,7 +21,7 @@ const POINTS: &str = "sparse_pc.ply";
 /// The files of the scene by name, in the order in which they are to be written.
 struct Files {
     entries: Vec<(String, Vec<u8>)>,
-    written: Written,
+    written: SampleCounts,
 }
 
 /// Renders the scene and writes it to `path`: one zip if the name ends in `.zip`, else a folder, which must be
@@ -29,7 +29,7 @@ struct Files {
 ///
 /// # Errors
 /// [`SampleError`]: something is there already, the side is impossible, or the file system refuses.
-pub fn write(path: &Path, settings: &Settings) -> Result<Written, SampleError> {
+pub fn write(path: &Path, settings: &Settings) -> Result<SampleCounts, SampleError> {
     if !(8..=4096).contains(&settings.side) {
         return Err(SampleError::Side(settings.side));
     }
@@ -64,7 +64,7 @@ fn files(settings: &Settings) -> Result<Files, SampleError> {
     let cameras = views::cameras(settings.side);
     let cloud = points::cloud(&scene, &cameras, settings.points, settings.seed);
     let test = (0..cameras.len()).filter(|index| views::is_held_out(*index)).count();
-    let written = Written { train: cameras.len() - test, test, points: cloud.positions.len() };
+    let written = SampleCounts { train: cameras.len() - test, test, points: cloud.positions.len() };
 
     let mut entries = Vec::with_capacity(cameras.len() + 2);
     for (index, camera) in cameras.iter().enumerate() {
@@ -174,7 +174,7 @@ mod tests {
         let (directory, a, b) =
             (folder.path().join("scene"), folder.path().join("a.zip"), folder.path().join("b.ZIP"));
         let written = write(&directory, &SMALL).expect("writes");
-        assert_eq!(written, Written { train: 40, test: 8, points: 100 });
+        assert_eq!(written, SampleCounts { train: 40, test: 8, points: 100 });
         write(&a, &SMALL).expect("writes");
         write(&b, &SMALL).expect("writes");
         let bytes = fs::read(&a).expect("a file");
@@ -195,8 +195,8 @@ mod tests {
     fn what_is_there_already_is_left_alone() {
         let folder = tempfile::tempdir().expect("a temporary folder");
         fs::write(folder.path().join("notes.txt"), "mine").expect("writes");
-        let fault = write(folder.path(), &SMALL).expect_err("refused");
-        assert!(matches!(fault, SampleError::NotEmpty(_)));
+        let error = write(folder.path(), &SMALL).expect_err("refused");
+        assert!(matches!(error, SampleError::NotEmpty(_)));
         let zip = folder.path().join("mine.zip");
         fs::write(&zip, "mine").expect("writes");
         assert!(matches!(write(&zip, &SMALL), Err(SampleError::Exists(_))));

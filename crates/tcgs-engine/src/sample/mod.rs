@@ -36,7 +36,7 @@ impl Default for Settings {
 
 /// Counts of what was written.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Written {
+pub struct SampleCounts {
     /// Images to train on.
     pub train: usize,
     /// Images held out.

@@ -7,7 +7,7 @@ use rand_pcg::Pcg64Mcg;
 
 use super::{
     scene::{Scene, Solid},
-    shape::Shape,
+    shape::SampleShape,
 };
 use crate::domain::{Camera, PointCloud};
 
@@ -37,7 +37,7 @@ pub(super) fn cloud(scene: &Scene, cameras: &[Camera], count: usize, seed: u64) 
             })
             .take(MIN_CAMERAS)
             .count();
-        if seen < MIN_CAMERAS || (point.z < 0.0 && !matches!(solid.shape, Shape::Ground { .. })) {
+        if seen < MIN_CAMERAS || (point.z < 0.0 && !matches!(solid.shape, SampleShape::Ground { .. })) {
             continue;
         }
         // As the file will have it.

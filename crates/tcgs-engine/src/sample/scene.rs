@@ -8,7 +8,7 @@ use libm::{cos, pow, sin};
 use rayon::prelude::*;
 
 use super::{
-    shape::{MIN_DISTANCE, Ray, Shape, ball},
+    shape::{MIN_DISTANCE, Ray, SampleShape, ball},
     texture::Texture,
 };
 use crate::domain::{Camera, Image};
@@ -33,7 +33,7 @@ const GROUND_LIGHT: DVec3 = DVec3::new(0.16, 0.13, 0.10);
 /// A solid with its paint.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Solid {
-    pub(super) shape: Shape,
+    pub(super) shape: SampleShape,
     pub(super) texture: Texture,
     /// Strength of the highlight (Blinn-Phong), 0 for matt.
     gloss: f64,
@@ -67,17 +67,17 @@ impl Scene {
         let glossy =
             |shape, texture, gloss, shininess, points| Solid { shape, texture, gloss, shininess, points };
         let mut solids = vec![
-            matt(Shape::Dome { radius: SKY_RADIUS }, Texture::Sky, 0.10),
-            matt(Shape::Ground { radius: SKY_RADIUS }, Texture::Tiles, 0.36),
+            matt(SampleShape::Dome { radius: SKY_RADIUS }, Texture::Sky, 0.10),
+            matt(SampleShape::Ground { radius: SKY_RADIUS }, Texture::Tiles, 0.36),
             glossy(
-                Shape::Sphere { center: DVec3::new(-0.55, -0.55, 0.5), radius: 0.5 },
+                SampleShape::Sphere { center: DVec3::new(-0.55, -0.55, 0.5), radius: 0.5 },
                 Texture::Lacquer,
                 0.9,
                 70.0,
                 0.12,
             ),
             matt(
-                Shape::Block {
+                SampleShape::Block {
                     center: DVec3::new(0.7, -0.3, 0.35),
                     half: DVec3::new(0.35, 0.35, 0.35),
                     axis: DVec2::new(cos(0.5), sin(0.5)),
@@ -86,14 +86,14 @@ impl Scene {
                 0.14,
             ),
             glossy(
-                Shape::Torus { center: DVec3::new(0.25, 0.75, 0.14), major: 0.42, minor: 0.14 },
+                SampleShape::Torus { center: DVec3::new(0.25, 0.75, 0.14), major: 0.42, minor: 0.14 },
                 Texture::Bands,
                 0.18,
                 24.0,
                 0.10,
             ),
             matt(
-                Shape::Cylinder { base: DVec3::new(-0.75, 0.6, 0.0), radius: 0.24, height: 1.1 },
+                SampleShape::Cylinder { base: DVec3::new(-0.75, 0.6, 0.0), radius: 0.24, height: 1.1 },
                 Texture::Helix,
                 0.10,
             ),
@@ -103,7 +103,7 @@ impl Scene {
         let share = 0.08 / rods.len() as f64;
         solids.extend(rods.into_iter().map(|(from, to, radius)| {
             let color = DVec3::new(0.20, 0.17, 0.15);
-            glossy(Shape::Rod { from, to, radius }, Texture::Plain(color), 0.25, 30.0, share)
+            glossy(SampleShape::Rod { from, to, radius }, Texture::Plain(color), 0.25, 30.0, share)
         }));
         let fence = bound_of(&solids[fence_from..]);
         Self { solids, fence, fence_from, sun: DVec3::new(0.45, -0.75, 1.0).normalize() }
@@ -133,7 +133,7 @@ impl Scene {
         let Some(hit) = self.hit(ray) else { return DVec3::ZERO };
         let Solid { shape, texture, gloss, shininess, .. } = hit.solid;
         let albedo = texture.albedo(shape.local(hit.point), hit.normal);
-        if matches!(shape, Shape::Dome { .. }) {
+        if matches!(shape, SampleShape::Dome { .. }) {
             return albedo;
         }
         let sunlight = self.sunlight(hit.point, hit.normal, sample);
@@ -149,7 +149,7 @@ impl Scene {
     pub(super) fn matt_color(&self, solid: &Solid, point: DVec3) -> [u8; 3] {
         let normal = solid.shape.normal(point);
         let albedo = solid.texture.albedo(solid.shape.local(point), normal);
-        if matches!(solid.shape, Shape::Dome { .. }) {
+        if matches!(solid.shape, SampleShape::Dome { .. }) {
             return albedo.to_array().map(srgb8);
         }
         let samples = SUBPIXELS.len();
@@ -304,8 +304,11 @@ mod tests {
     fn a_known_point_has_its_color_where_the_camera_projects_it() {
         let scene = Scene::still_life();
         // The middle of a patch on the top of the block, seen from three sides.
-        let block =
-            scene.solids.iter().find(|solid| matches!(solid.shape, Shape::Block { .. })).expect("a block");
+        let block = scene
+            .solids
+            .iter()
+            .find(|solid| matches!(solid.shape, SampleShape::Block { .. }))
+            .expect("a block");
         let (turn, side) = (0.5_f64, 0.07);
         let point =
             DVec3::new(0.7 + side * (cos(turn) - sin(turn)), -0.3 + side * (cos(turn) + sin(turn)), 0.7);

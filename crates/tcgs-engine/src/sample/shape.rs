@@ -25,7 +25,7 @@ impl Ray {
 
 /// A solid's form and place.
 #[derive(Debug, Clone, Copy)]
-pub(super) enum Shape {
+pub(super) enum SampleShape {
     /// The plane z = 0, out to `radius` from the origin.
     Ground { radius: f64 },
     /// The inside of a sphere around the origin.
@@ -42,37 +42,39 @@ pub(super) enum Shape {
     Rod { from: DVec3, to: DVec3, radius: f64 },
 }
 
-impl Shape {
+impl SampleShape {
     /// A ball that holds the whole solid; `None` for what surrounds the scene.
     pub(super) fn bound(&self) -> Option<(DVec3, f64)> {
         match *self {
-            Shape::Ground { .. } | Shape::Dome { .. } => None,
-            Shape::Sphere { center, radius } => Some((center, radius)),
-            Shape::Block { center, half, .. } => Some((center, half.length())),
-            Shape::Cylinder { base, radius, height } => {
+            SampleShape::Ground { .. } | SampleShape::Dome { .. } => None,
+            SampleShape::Sphere { center, radius } => Some((center, radius)),
+            SampleShape::Block { center, half, .. } => Some((center, half.length())),
+            SampleShape::Cylinder { base, radius, height } => {
                 Some((base + DVec3::Z * (height / 2.0), DVec2::new(radius, height / 2.0).length()))
             }
-            Shape::Torus { center, major, minor } => Some((center, major + minor)),
-            Shape::Rod { from, to, radius } => Some(((from + to) / 2.0, from.distance(to) / 2.0 + radius)),
+            SampleShape::Torus { center, major, minor } => Some((center, major + minor)),
+            SampleShape::Rod { from, to, radius } => {
+                Some(((from + to) / 2.0, from.distance(to) / 2.0 + radius))
+            }
         }
     }
 
     /// The first distance beyond [`MIN_DISTANCE`] at which the ray meets the surface.
     pub(super) fn intersect(&self, ray: &Ray) -> Option<f64> {
         match *self {
-            Shape::Ground { radius } => {
+            SampleShape::Ground { radius } => {
                 let distance = -ray.origin.z / ray.direction.z;
                 let inside = ray.at(distance).truncate().length_squared() < radius * radius;
                 (distance.is_finite() && distance > MIN_DISTANCE && inside).then_some(distance)
             }
-            Shape::Dome { radius } => {
+            SampleShape::Dome { radius } => {
                 ball(ray, DVec3::ZERO, radius).map(|(_, far)| far).filter(|far| *far > MIN_DISTANCE)
             }
-            Shape::Sphere { center, radius } => {
+            SampleShape::Sphere { center, radius } => {
                 let (near, far) = ball(ray, center, radius)?;
                 first([near, far])
             }
-            Shape::Block { center, half, axis } => {
+            SampleShape::Block { center, half, axis } => {
                 let origin = into_frame(ray.origin - center, axis);
                 let direction = into_frame(ray.direction, axis);
                 let to_center = -origin / direction;
@@ -81,19 +83,19 @@ impl Shape {
                 let leave = (to_center + reach).min_element();
                 if enter > leave { None } else { first([enter, leave]) }
             }
-            Shape::Cylinder { base, radius, height } => cylinder(ray, base, radius, height),
-            Shape::Torus { center, major, minor } => torus(ray, center, major, minor),
-            Shape::Rod { from, to, radius } => rod(ray, from, to, radius),
+            SampleShape::Cylinder { base, radius, height } => cylinder(ray, base, radius, height),
+            SampleShape::Torus { center, major, minor } => torus(ray, center, major, minor),
+            SampleShape::Rod { from, to, radius } => rod(ray, from, to, radius),
         }
     }
 
     /// The outward normal at a point of the surface.
     pub(super) fn normal(&self, point: DVec3) -> DVec3 {
         match *self {
-            Shape::Ground { .. } => DVec3::Z,
-            Shape::Dome { .. } => -point.normalize_or_zero(),
-            Shape::Sphere { center, .. } => (point - center).normalize_or_zero(),
-            Shape::Block { center, half, axis } => {
+            SampleShape::Ground { .. } => DVec3::Z,
+            SampleShape::Dome { .. } => -point.normalize_or_zero(),
+            SampleShape::Sphere { center, .. } => (point - center).normalize_or_zero(),
+            SampleShape::Block { center, half, axis } => {
                 let local = into_frame(point - center, axis);
                 let depth = local.abs() / half;
                 let face = if depth.z >= depth.x && depth.z >= depth.y {
@@ -105,7 +107,7 @@ impl Shape {
                 };
                 out_of_frame(face, axis)
             }
-            Shape::Cylinder { base, radius, height } => {
+            SampleShape::Cylinder { base, radius, height } => {
                 let local = point - base;
                 let side = local.truncate();
                 if side.length() < radius * (1.0 - 1e-6) {
@@ -114,12 +116,12 @@ impl Shape {
                     side.extend(0.0).normalize_or_zero()
                 }
             }
-            Shape::Torus { center, major, .. } => {
+            SampleShape::Torus { center, major, .. } => {
                 let local = point - center;
                 let ring = local.truncate().normalize_or_zero() * major;
                 (local - ring.extend(0.0)).normalize_or_zero()
             }
-            Shape::Rod { from, to, .. } => {
+            SampleShape::Rod { from, to, .. } => {
                 let along = to - from;
                 let share = ((point - from).dot(along) / along.length_squared()).clamp(0.0, 1.0);
                 (point - (from + along * share)).normalize_or_zero()
@@ -130,11 +132,11 @@ impl Shape {
     /// The point in the solid's own frame, for textures that are fixed to it.
     pub(super) fn local(&self, point: DVec3) -> DVec3 {
         match *self {
-            Shape::Ground { .. } | Shape::Dome { .. } => point,
-            Shape::Sphere { center, .. } | Shape::Torus { center, .. } => point - center,
-            Shape::Block { center, axis, .. } => into_frame(point - center, axis),
-            Shape::Cylinder { base, .. } => point - base,
-            Shape::Rod { from, .. } => point - from,
+            SampleShape::Ground { .. } | SampleShape::Dome { .. } => point,
+            SampleShape::Sphere { center, .. } | SampleShape::Torus { center, .. } => point - center,
+            SampleShape::Block { center, axis, .. } => into_frame(point - center, axis),
+            SampleShape::Cylinder { base, .. } => point - base,
+            SampleShape::Rod { from, .. } => point - from,
         }
     }
 
@@ -145,13 +147,15 @@ impl Shape {
         let around = DVec3::new(cos(turn), sin(turn), 0.0);
         let share = rng.random::<f64>();
         match *self {
-            Shape::Ground { radius } => around * (radius * share),
-            Shape::Dome { radius } => (around * (1.0 - share * share).sqrt() + DVec3::Z * share) * radius,
-            Shape::Sphere { center, radius } => {
+            SampleShape::Ground { radius } => around * (radius * share),
+            SampleShape::Dome { radius } => {
+                (around * (1.0 - share * share).sqrt() + DVec3::Z * share) * radius
+            }
+            SampleShape::Sphere { center, radius } => {
                 let height = 2.0 * share - 1.0;
                 center + (around * (1.0 - height * height).sqrt() + DVec3::Z * height) * radius
             }
-            Shape::Block { center, half, axis } => {
+            SampleShape::Block { center, half, axis } => {
                 let areas = [half.y * half.z, half.x * half.z, half.x * half.y];
                 let mut pick = share * areas.iter().sum::<f64>();
                 let mut face = 0;
@@ -163,7 +167,7 @@ impl Shape {
                 local[face] = local[face].signum();
                 center + out_of_frame(local * half, axis)
             }
-            Shape::Cylinder { base, radius, height } => {
+            SampleShape::Cylinder { base, radius, height } => {
                 let side = 2.0 * height / (2.0 * height + radius);
                 if share < side {
                     base + around * radius + DVec3::Z * (height * share / side)
@@ -172,11 +176,11 @@ impl Shape {
                     base + around * inner + DVec3::Z * height
                 }
             }
-            Shape::Torus { center, major, minor } => {
+            SampleShape::Torus { center, major, minor } => {
                 let tube = share * std::f64::consts::TAU;
                 center + around * (major + minor * cos(tube)) + DVec3::Z * (minor * sin(tube))
             }
-            Shape::Rod { from, to, radius } => {
+            SampleShape::Rod { from, to, radius } => {
                 let along = (to - from).normalize_or_zero();
                 let side = along.any_orthonormal_vector();
                 from + (to - from) * share + (side * around.x + along.cross(side) * around.y) * radius
@@ -280,16 +284,16 @@ mod tests {
 
     use super::*;
 
-    const SHAPES: [Shape; 5] = [
-        Shape::Sphere { center: DVec3::new(0.2, -0.1, 0.5), radius: 0.5 },
-        Shape::Block {
+    const SHAPES: [SampleShape; 5] = [
+        SampleShape::Sphere { center: DVec3::new(0.2, -0.1, 0.5), radius: 0.5 },
+        SampleShape::Block {
             center: DVec3::new(0.0, 0.3, 0.4),
             half: DVec3::new(0.3, 0.4, 0.5),
             axis: DVec2::new(0.8, 0.6),
         },
-        Shape::Cylinder { base: DVec3::new(0.1, 0.0, 0.2), radius: 0.3, height: 0.9 },
-        Shape::Torus { center: DVec3::new(0.0, 0.1, 0.3), major: 0.5, minor: 0.2 },
-        Shape::Rod { from: DVec3::new(-0.4, 0.0, 0.1), to: DVec3::new(0.5, 0.3, 0.8), radius: 0.05 },
+        SampleShape::Cylinder { base: DVec3::new(0.1, 0.0, 0.2), radius: 0.3, height: 0.9 },
+        SampleShape::Torus { center: DVec3::new(0.0, 0.1, 0.3), major: 0.5, minor: 0.2 },
+        SampleShape::Rod { from: DVec3::new(-0.4, 0.0, 0.1), to: DVec3::new(0.5, 0.3, 0.8), radius: 0.05 },
     ];
 
     #[test]

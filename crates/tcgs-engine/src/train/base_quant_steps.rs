@@ -55,9 +55,9 @@ fn median_scaling(anchors: &AnchorRows) -> f32 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{domain::Lattice, model::Shape};
+    use crate::{domain::Lattice, model::ModelShape};
 
-    const SHAPE: Shape = Shape::new(2, 2);
+    const SHAPE: ModelShape = ModelShape::new(2, 2);
 
     fn anchors(values: Vec<f32>, masks: Vec<u32>) -> AnchorRows {
         let cells = (0..).map(|x| [x, 0, 0]).take(masks.len()).collect();

@@ -264,9 +264,9 @@ mod tests {
         let (adapter, options) = (software_report(), TrainOptions::default());
         let dataset = dataset(&[(64, 48)], 15_000);
         let budget = MemoryBudget { host: u64::MAX, gpu: 16 * MIB };
-        let fault = Needs::of(&dataset, &options, &adapter).within(&budget).expect_err("too little");
-        assert_eq!(fault.needed.size, 15_000);
-        let problem = Problem::from(fault);
+        let error = Needs::of(&dataset, &options, &adapter).within(&budget).expect_err("too little");
+        assert_eq!(error.needed.size, 15_000);
+        let problem = Problem::from(error);
         assert_eq!(problem.status, 507);
         for words in ["16.0 MiB", "15000 anchors", "rasterizer", "photographs", "--gpu-memory", "smaller"] {
             assert!(problem.detail.contains(words), "'{}' should say '{words}'", problem.detail);

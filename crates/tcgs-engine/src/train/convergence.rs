@@ -7,7 +7,7 @@ use std::ops::Range;
 
 use serde::{Deserialize, Serialize};
 
-use crate::domain::{AsideScore, Convergence, Frame};
+use crate::domain::{Convergence, Frame, ValidationScore};
 
 /// One of so many training views is kept aside, at least one and at most [`MAX_ASIDE`].
 const VIEWS_PER_ASIDE: usize = 16;
@@ -134,7 +134,7 @@ impl Watch {
             scores: scores
                 .all
                 .iter()
-                .map(|(step, bits)| AsideScore { step: u64::from(*step), psnr: f64::from_bits(*bits) })
+                .map(|(step, bits)| ValidationScore { step: u64::from(*step), psnr: f64::from_bits(*bits) })
                 .collect(),
             converged_at: scores.converged_after().map(u64::from),
             psnr: scores.converged.map(|converged| f64::from_bits(converged.psnr)),
@@ -219,6 +219,6 @@ mod tests {
         assert!((report.seconds_saved - 20.0).abs() < 1e-9);
         // 0.04 dB in 100 steps, over 400.
         assert!((report.psnr_given_up.expect("stated") - 0.16).abs() < 1e-9);
-        assert_eq!(report.scores, [AsideScore { step: 20, psnr: 19.5 }]);
+        assert_eq!(report.scores, [ValidationScore { step: 20, psnr: 19.5 }]);
     }
 }

@@ -82,11 +82,11 @@ pub enum TrainError {
 impl From<TrainError> for Problem {
     fn from(error: TrainError) -> Self {
         match error {
-            TrainError::Gpu(fault) => fault.into(),
-            TrainError::Render(fault) => fault.into(),
-            TrainError::Photograph(fault) => fault.into(),
-            TrainError::OverBudget(fault) => fault.into(),
-            TrainError::Checkpoint(fault) => fault.into(),
+            TrainError::Gpu(error) => error.into(),
+            TrainError::Render(error) => error.into(),
+            TrainError::Photograph(error) => error.into(),
+            TrainError::OverBudget(error) => error.into(),
+            TrainError::Checkpoint(error) => error.into(),
             other => Problem::new(ProblemType::TrainingFailed, other.to_string()),
         }
     }

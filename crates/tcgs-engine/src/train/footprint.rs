@@ -5,7 +5,7 @@ use std::fmt;
 use super::{CompressionSchedule, Moments, OffsetMasks, Statistics, compression::compression_bytes};
 use crate::{
     gpu::{AdapterReport, buffer_bytes},
-    model::{NetworkLayout, Shape},
+    model::{ModelShape, NetworkLayout},
     render::{AnchorGradients, DeviceAnchors, DeviceGaussians, NeuralGaussians, PlainGaussians, STATISTICS},
 };
 
@@ -32,7 +32,7 @@ const CONTEXT_HOST_BYTES: usize = 1024;
 /// Memory of the anchor model.
 #[derive(Debug)]
 pub(super) struct AnchorFootprint {
-    pub(super) shape: Shape,
+    pub(super) shape: ModelShape,
     pub(super) max_anchors: usize,
     /// Whether it begins as plain Gaussians, at most as many.
     pub(super) two_stages: bool,

@@ -14,7 +14,7 @@ use super::{
 };
 use crate::{
     gpu::{Buffer, Device, GpuError, Kernel, Plan, Recorder, kernel_source, planned},
-    model::Shape,
+    model::ModelShape,
     render::{DeviceAnchors, NeuralGaussians, RenderError},
 };
 
@@ -70,7 +70,7 @@ pub struct OffsetMasks {
 impl OffsetMasks {
     /// Plans the masks of `anchors` anchors of this shape.
     #[must_use]
-    pub fn plan(shape: Shape, anchors: usize) -> Plan<'static, Self> {
+    pub fn plan(shape: ModelShape, anchors: usize) -> Plan<'static, Self> {
         let (defs, offsets) = (shape.defs(), anchors * shape.offsets);
         planned!(Self {
             kernels: planned!(Kernels {
@@ -86,7 +86,7 @@ impl OffsetMasks {
     }
 
     /// Uploads the logits of anchors of this shape.
-    pub fn upload(device: &Device, shape: Shape, rows: &MaskRows) -> Result<Self, GpuError> {
+    pub fn upload(device: &Device, shape: ModelShape, rows: &MaskRows) -> Result<Self, GpuError> {
         let made = Self::plan(shape, rows.logits.len() / shape.offsets).make(device)?;
         device.write(&made.logits, &rows.logits);
         device.write(&made.moments.first, &rows.first);

@@ -51,8 +51,8 @@ pub use masks::{FIRST_LOGIT, MaskRows, OffsetMasks};
 pub use memory_estimate::{Estimate, OverBudget, PhotographPlace};
 pub use rate_control::{RateControl, RateControlState, SizeAim, SizeLimit};
 pub use schedule::{
-    BaseQuantStepRule, CompressionSchedule, Decay, DecayShape, MaskSchedule, Pace, Schedule, Stage,
-    schedule_table,
+    BaseQuantStepRule, CompressionSchedule, CompressionStage, Decay, DecayShape, MaskSchedule, Pace,
+    Schedule, schedule_table,
 };
 pub use statistics::Statistics;
 pub use trained::{Trained, TrainedContext};

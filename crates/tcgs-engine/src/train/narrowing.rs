@@ -8,12 +8,12 @@
 use std::ops::Range;
 
 use super::{MaskRows, Statistics, densify::TrainableAnchors, feature_basis::FeatureBasis};
-use crate::model::{AnchorRows, LayerSpec, NetworkLayout, Shape};
+use crate::model::{AnchorRows, LayerSpec, ModelShape, NetworkLayout};
 
 /// The narrower shape of a model, and what it keeps.
 pub(super) struct Narrowing {
     /// The shape before.
-    pub(super) from: Shape,
+    pub(super) from: ModelShape,
     /// The features' new basis.
     pub(super) basis: FeatureBasis,
     /// Offset slots that are kept, ascending; at least one.
@@ -22,8 +22,8 @@ pub(super) struct Narrowing {
 
 impl Narrowing {
     /// The shape after.
-    pub(super) fn shape(&self) -> Shape {
-        Shape { features: self.basis.channels, hidden: self.from.hidden, offsets: self.slots.len() }
+    pub(super) fn shape(&self) -> ModelShape {
+        ModelShape { features: self.basis.channels, hidden: self.from.hidden, offsets: self.slots.len() }
     }
 
     /// The values of the kept slots, of `width` values each, of rows that have one group a slot.
@@ -153,7 +153,7 @@ mod tests {
         train::feature_basis::{FeatureMoments, add_products},
     };
 
-    const FROM: Shape = Shape { features: 6, hidden: 6, offsets: 4 };
+    const FROM: ModelShape = ModelShape { features: 6, hidden: 6, offsets: 4 };
 
     fn random(rng: &mut Pcg64, len: usize) -> Vec<f32> {
         (0..len).map(|_| rng.random_range(-1.0..1.0)).collect()
@@ -191,7 +191,7 @@ mod tests {
     }
 
     /// The networks' outputs for a feature and the four inputs of a view.
-    fn outputs(shape: Shape, networks: &[f32], feature: &[f32]) -> Vec<f64> {
+    fn outputs(shape: ModelShape, networks: &[f32], feature: &[f32]) -> Vec<f64> {
         let layout = NetworkLayout::new(shape);
         let layer = |spec: &LayerSpec, input: &[f64], output: usize| {
             let weight = |i: usize| f64::from(networks[spec.weights + i * spec.outputs + output]);
@@ -226,7 +226,7 @@ mod tests {
         assert!(after.first.chunks_exact(12 + 6).all(|row| row[..6] == [0.0; 6]), "no momentum");
         assert_eq!(after.first[6..12], state.first[6..12]);
         let shape = narrowing.shape();
-        assert_eq!((shape, after.anchors.shape), (Shape { features: 6, hidden: 6, offsets: 2 }, shape));
+        assert_eq!((shape, after.anchors.shape), (ModelShape { features: 6, hidden: 6, offsets: 2 }, shape));
         for anchor in 0..40 {
             let (before, after) = (state.anchors.row(anchor), after.anchors.row(anchor));
             assert_eq!(before[6..12], after[6..12], "scalings");

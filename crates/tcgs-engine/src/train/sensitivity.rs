@@ -48,11 +48,11 @@ pub(super) fn feature_sensitivity(
             }
         }
         let pixels = (camera.intrinsics.width * camera.intrinsics.height) as usize;
-        let v_image = device.upload("random signs", &signs(view as u32, pixels))?;
+        let d_image = device.upload("random signs", &signs(view as u32, pixels))?;
         let gaussians = neural.gaussians().clone();
         let by_gaussians = neural.gaussian_gradients()?.clone();
         let mut recorder = device.recorder("random signs taken back");
-        raster.backward(&mut recorder, &gaussians, camera, &v_image, &by_gaussians)?;
+        raster.backward(&mut recorder, &gaussians, camera, &d_image, &by_gaussians)?;
         neural.backward(&mut recorder, anchors, gradients)?;
         recorder.submit()?;
         for row in device.read(&gradients.rows)?.chunks_exact(shape.row()) {

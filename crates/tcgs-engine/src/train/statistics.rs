@@ -1,13 +1,13 @@
 //! The statistics for growth and pruning, accumulated over views (METHOD.md §2.6).
 
-use crate::model::Shape;
+use crate::model::ModelShape;
 
 /// Statistics of all anchors, `[N][2 K + 2]`: K sums of screen-gradient norms, K counts of views, a sum of positive
 /// opacities, visits.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Statistics {
     /// Widths of the model.
-    pub shape: Shape,
+    pub shape: ModelShape,
     /// The rows.
     pub values: Vec<f32>,
 }
@@ -15,19 +15,19 @@ pub struct Statistics {
 impl Statistics {
     /// Values per anchor.
     #[must_use]
-    pub fn width(shape: Shape) -> usize {
+    pub fn width(shape: ModelShape) -> usize {
         2 * shape.offsets + 2
     }
 
     /// Bytes for `anchors` anchors.
     #[must_use]
-    pub fn bytes(shape: Shape, anchors: usize) -> u64 {
+    pub fn bytes(shape: ModelShape, anchors: usize) -> u64 {
         (anchors * Self::width(shape) * size_of::<f32>()) as u64
     }
 
     /// Zero statistics of `anchors` anchors.
     #[must_use]
-    pub fn zero(shape: Shape, anchors: usize) -> Self {
+    pub fn zero(shape: ModelShape, anchors: usize) -> Self {
         Self { shape, values: vec![0.0; anchors * Self::width(shape)] }
     }
 

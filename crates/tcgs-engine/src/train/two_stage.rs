@@ -25,26 +25,26 @@ pub(super) struct TwoStageTrainer {
     device: Arc<Device>,
     schedule: Schedule,
     extent: f32,
-    stage: Stage,
+    stage: CurrentTrainer,
 }
 
-enum Stage {
+enum CurrentTrainer {
     Gaussians(Box<PlainTrainer>),
     Anchors(Box<AnchorTrainer>),
 }
 
-impl Stage {
+impl CurrentTrainer {
     fn trainer(&self) -> &dyn ModelTrainer {
         match self {
-            Stage::Gaussians(trainer) => trainer.as_ref(),
-            Stage::Anchors(trainer) => trainer.as_ref(),
+            CurrentTrainer::Gaussians(trainer) => trainer.as_ref(),
+            CurrentTrainer::Anchors(trainer) => trainer.as_ref(),
         }
     }
 
     fn trainer_mut(&mut self) -> &mut dyn ModelTrainer {
         match self {
-            Stage::Gaussians(trainer) => trainer.as_mut(),
-            Stage::Anchors(trainer) => trainer.as_mut(),
+            CurrentTrainer::Gaussians(trainer) => trainer.as_mut(),
+            CurrentTrainer::Anchors(trainer) => trainer.as_mut(),
         }
     }
 }
@@ -52,7 +52,7 @@ impl Stage {
 impl TwoStageTrainer {
     /// A trainer whose first stage is `first`; `extent` is the scene's, in world units.
     pub(super) fn new(device: &Arc<Device>, schedule: Schedule, first: PlainTrainer, extent: f32) -> Self {
-        let stage = Stage::Gaussians(Box::new(first));
+        let stage = CurrentTrainer::Gaussians(Box::new(first));
         Self { device: Arc::clone(device), schedule, extent, stage }
     }
 
@@ -64,16 +64,21 @@ impl TwoStageTrainer {
         state: ModelState,
     ) -> Result<Self> {
         let stage = if PlainTrainer::saved(&state) {
-            Stage::Gaussians(Box::new(PlainTrainer::resume(device, schedule.plain.clone(), extent, state)?))
+            CurrentTrainer::Gaussians(Box::new(PlainTrainer::resume(
+                device,
+                schedule.plain.clone(),
+                extent,
+                state,
+            )?))
         } else {
-            Stage::Anchors(Box::new(AnchorTrainer::resume(device, schedule.clone(), extent, state)?))
+            CurrentTrainer::Anchors(Box::new(AnchorTrainer::resume(device, schedule.clone(), extent, state)?))
         };
         Ok(Self { device: Arc::clone(device), schedule, extent, stage })
     }
 
     /// Replaces the Gaussians by anchors.
     fn make_anchors(&mut self, step: u32, rng: &mut Pcg64) -> Result<()> {
-        let Stage::Gaussians(trainer) = &self.stage else { return Ok(()) };
+        let CurrentTrainer::Gaussians(trainer) = &self.stage else { return Ok(()) };
         let rows = trainer.rows()?;
         let Schedule { voxel, coarsest_growth, shape, max_anchors, passing_units, .. } = self.schedule;
         // Half as large again as what growth puts one anchor into.
@@ -96,12 +101,12 @@ impl TwoStageTrainer {
         );
         let schedule = self.schedule.clone();
         let anchors = AnchorTrainer::begin(&self.device, schedule, first, self.extent)?;
-        self.stage = Stage::Anchors(Box::new(anchors));
+        self.stage = CurrentTrainer::Anchors(Box::new(anchors));
         Ok(())
     }
 
     fn ends_first_stage(&self, step: &Step) -> bool {
-        matches!(self.stage, Stage::Gaussians(_)) && step.number >= self.schedule.plain_until
+        matches!(self.stage, CurrentTrainer::Gaussians(_)) && step.number >= self.schedule.plain_until
     }
 }
 
@@ -166,8 +171,8 @@ impl ModelTrainer for TwoStageTrainer {
 
     fn finish(self: Box<Self>, views: &mut Views<'_>) -> Result<FinishedModel> {
         match self.stage {
-            Stage::Gaussians(trainer) => trainer.finish(views),
-            Stage::Anchors(trainer) => trainer.finish(views),
+            CurrentTrainer::Gaussians(trainer) => trainer.finish(views),
+            CurrentTrainer::Anchors(trainer) => trainer.finish(views),
         }
     }
 }

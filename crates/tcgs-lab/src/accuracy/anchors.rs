@@ -11,13 +11,13 @@ use super::{
     error::CaseFault,
     norms::{largest_difference, relative_l2, unless},
     raster::{BACKGROUND, IMAGE, PLAIN, undecided},
-    scenes::{camera, camera_at, forward_camera, v_image},
+    scenes::{camera, camera_at, d_image, forward_camera},
 };
 use tcgs_codec::domain::{Camera, Lattice, SceneScale};
 use tcgs_render::{
     AnchorGradients, DeviceAnchors, NeuralGaussians, Projection, Rasterizer,
     gpu::Device,
-    model::{AnchorRows, NetworkLayout, Shape, all_offsets},
+    model::{AnchorRows, ModelShape, NetworkLayout, all_offsets},
     twin::{self, Cutoffs, GaussianGradient, neural},
 };
 
@@ -25,7 +25,7 @@ const ROWS: &str = "gradient by anchors, relative L2";
 const NETWORKS: &str = "gradient by networks, relative L2";
 const EMPTY: &str = "image and gradients, 0 if those of an empty scene";
 
-const WIDTHS: Shape = Shape::new(8, 3);
+const WIDTHS: ModelShape = ModelShape::new(8, 3);
 
 const fn bounds(gradients: f64, why: &'static str) -> [Bound; 3] {
     [
@@ -94,7 +94,7 @@ fn run(
     device: &Arc<Device>,
     (rows, networks): &(AnchorRows, Vec<f32>),
     camera: &Camera,
-    v_image: &[[f32; 4]],
+    d_image: &[[f32; 4]],
 ) -> Result<Found, CaseFault> {
     let anchors = DeviceAnchors::upload(device, rows, networks)?;
     let mut neural = NeuralGaussians::new(Arc::clone(device), WIDTHS, PLAIN.near, SceneScale::DEFAULT)?;
@@ -103,11 +103,11 @@ fn run(
         neural.forward(recorder, &anchors, camera, 0.0)?;
         rasterizer.forward(recorder, neural.gaussians(), camera, BACKGROUND)
     })?;
-    let v_image = device.upload("derivatives by the image", v_image)?;
+    let d_image = device.upload("derivatives by the image", d_image)?;
     let d = neural.gaussian_gradients()?.clone();
     let out = AnchorGradients::plan(WIDTHS, rows.len()).make(device)?;
     let mut recorder = device.recorder("backward");
-    rasterizer.backward(&mut recorder, neural.gaussians(), camera, &v_image, &d)?;
+    rasterizer.backward(&mut recorder, neural.gaussians(), camera, &d_image, &d)?;
     neural.backward(&mut recorder, &anchors, &out)?;
     recorder.submit()?;
     Ok(Found {
@@ -130,15 +130,15 @@ fn compare(
     let background = DVec3::from(BACKGROUND.map(f64::from));
     let rendering = twin::forward(&projection, &gaussians, background, Cutoffs::default());
     let undecided = undecided(&projection, &rendering);
-    let mut v_image = v_image(9, undecided.len());
-    for (v, undecided) in v_image.iter_mut().zip(&undecided) {
+    let mut d_image = d_image(9, undecided.len());
+    for (v, undecided) in d_image.iter_mut().zip(&undecided) {
         if *undecided {
             *v = [0.0; 4];
         }
     }
-    let found = run(device, scene, camera, &v_image)?;
-    let v_image: Vec<[f64; 4]> = v_image.iter().map(|v| v.map(f64::from)).collect();
-    let (_, v) = twin::backward(&projection, &gaussians, &rendering, &v_image, Cutoffs::default());
+    let found = run(device, scene, camera, &d_image)?;
+    let d_image: Vec<[f64; 4]> = d_image.iter().map(|v| v.map(f64::from)).collect();
+    let (_, v) = twin::backward(&projection, &gaussians, &rendering, &d_image, Cutoffs::default());
     let mut v = v.into_iter();
     let v: Vec<GaussianGradient> = spawned
         .gaussians
@@ -161,7 +161,7 @@ fn compare(
 /// Whether a view of the anchors is an empty scene's.
 fn empty(device: &Arc<Device>, scene: &(AnchorRows, Vec<f32>), camera: &Camera) -> Result<Errors, CaseFault> {
     let pixels = camera.intrinsics.width * camera.intrinsics.height;
-    let found = run(device, scene, camera, &v_image(9, pixels as usize))?;
+    let found = run(device, scene, camera, &d_image(9, pixels as usize))?;
     let [r, g, b] = BACKGROUND.map(f64::from);
     let is_empty = found.visible == 0
         && found.image.chunks(4).all(|pixel| pixel == [r, g, b, 1.0])

@@ -55,7 +55,7 @@ impl Case {
     /// # Errors
     /// Faults of the device.
     pub fn outcomes(&self, device: &Arc<Device>) -> Result<Vec<Outcome>, AccuracyError> {
-        let errors = (self.measure)(device).map_err(|fault| AccuracyError { case: self.name, fault })?;
+        let errors = (self.measure)(device).map_err(|error| AccuracyError { case: self.name, error })?;
         let error_of = |bound: &Bound| {
             let found = errors.iter().find(|(quantity, _)| *quantity == bound.quantity);
             found.map_or(f64::NAN, |(_, error)| *error)

@@ -5,13 +5,13 @@ use tcgs_render::{RenderError, gpu::GpuError};
 
 /// A fault of the device or of a setup while a case was measured; a bound that is not held is no error.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
-#[error("{case}: {fault}")]
+#[error("{case}: {error}")]
 pub struct AccuracyError {
     /// Name of the case.
     pub case: &'static str,
     /// What happened.
     #[source]
-    pub fault: CaseFault,
+    pub error: CaseFault,
 }
 
 /// What may go wrong within a case.
@@ -27,9 +27,9 @@ pub enum CaseFault {
 
 impl From<AccuracyError> for Problem {
     fn from(error: AccuracyError) -> Self {
-        let mut problem = match error.fault {
-            CaseFault::Gpu(fault) => Problem::from(fault),
-            CaseFault::Render(fault) => Problem::from(fault),
+        let mut problem = match error.error {
+            CaseFault::Gpu(error) => Problem::from(error),
+            CaseFault::Render(error) => Problem::from(error),
         };
         problem.detail = format!("{}: {}", error.case, problem.detail);
         problem

@@ -9,7 +9,7 @@ use super::{
     error::CaseFault,
     norms::unless,
     raster::{PLAIN, bounds, compare, render},
-    scenes::{camera, camera_at, changed, forward_camera, gaussians, v_image},
+    scenes::{camera, camera_at, changed, d_image, forward_camera, gaussians},
 };
 use tcgs_render::{RasterSettings, gpu::Device, twin::Gaussian};
 
@@ -135,7 +135,7 @@ fn near_plane(device: &Arc<Device>) -> Result<Errors, CaseFault> {
 
 fn behind(device: &Arc<Device>) -> Result<Errors, CaseFault> {
     let scene = changed(gaussians(7, 40, 0.5), |_, g| g.mean.z -= 3.0);
-    let found = render(device, PLAIN, &scene, &forward_camera(24, 20), &v_image(9, 480))?;
+    let found = render(device, PLAIN, &scene, &forward_camera(24, 20), &d_image(9, 480))?;
     Ok(vec![(EMPTY, unless(found.is_background()))])
 }
 
@@ -176,10 +176,10 @@ fn unnormalized(device: &Arc<Device>) -> Result<Errors, CaseFault> {
 /// Whether `bad` Gaussians before, among and behind good ones change nothing.
 fn without_effect(device: &Arc<Device>, bad: &[Gaussian]) -> Result<Errors, CaseFault> {
     let good = gaussians(11, 30, 0.2);
-    let (camera, v_image) = (camera(40, 36), v_image(9, 40 * 36));
-    let alone = render(device, PLAIN, &good, &camera, &v_image)?;
+    let (camera, d_image) = (camera(40, 36), d_image(9, 40 * 36));
+    let alone = render(device, PLAIN, &good, &camera, &d_image)?;
     let mixed: Vec<Gaussian> = good.iter().chain(bad).copied().collect();
-    let mixed = render(device, PLAIN, &mixed, &camera, &v_image)?;
+    let mixed = render(device, PLAIN, &mixed, &camera, &d_image)?;
     let same = alone.image == mixed.image
         && alone.gradients.iter().zip(&mixed.gradients).all(|(alone, mixed)| {
             let (of_good, of_bad) = mixed.split_at(good.len());

@@ -22,11 +22,11 @@ use tcgs_render::{
 };
 
 pub(super) const IMAGE: &str = "image, largest difference";
-pub(super) const V_MEANS: &str = "gradient by positions, relative L2";
-pub(super) const V_OPACITIES: &str = "gradient by opacities, relative L2";
-pub(super) const V_SCALES: &str = "gradient by scales, relative L2";
-pub(super) const V_QUATS: &str = "gradient by quaternions, relative L2";
-pub(super) const V_COLORS: &str = "gradient by colors, relative L2";
+pub(super) const D_MEANS: &str = "gradient by positions, relative L2";
+pub(super) const D_OPACITIES: &str = "gradient by opacities, relative L2";
+pub(super) const D_SCALES: &str = "gradient by scales, relative L2";
+pub(super) const D_QUATS: &str = "gradient by quaternions, relative L2";
+pub(super) const D_COLORS: &str = "gradient by colors, relative L2";
 
 /// Color behind all scenes.
 pub(super) const BACKGROUND: [f32; 3] = [0.25, 0.5, 0.75];
@@ -41,11 +41,11 @@ const MARGIN: f64 = 1e-4;
 pub(super) const fn bounds(image: f64, gradients: f64, why: &'static str) -> [Bound; 6] {
     [
         Bound { quantity: IMAGE, largest: image, why },
-        Bound { quantity: V_MEANS, largest: gradients, why },
-        Bound { quantity: V_OPACITIES, largest: gradients, why },
-        Bound { quantity: V_SCALES, largest: gradients, why },
-        Bound { quantity: V_QUATS, largest: gradients, why },
-        Bound { quantity: V_COLORS, largest: gradients, why },
+        Bound { quantity: D_MEANS, largest: gradients, why },
+        Bound { quantity: D_OPACITIES, largest: gradients, why },
+        Bound { quantity: D_SCALES, largest: gradients, why },
+        Bound { quantity: D_QUATS, largest: gradients, why },
+        Bound { quantity: D_COLORS, largest: gradients, why },
     ]
 }
 
@@ -120,15 +120,15 @@ pub(super) fn render(
     settings: RasterSettings,
     scene: &[Gaussian],
     camera: &Camera,
-    v_image: &[[f32; 4]],
+    d_image: &[[f32; 4]],
 ) -> Result<Rendered, CaseFault> {
     let mut rasterizer = Rasterizer::new(Arc::clone(device), settings)?;
     let gaussians = upload(device, scene)?;
     let counts = forward(&mut rasterizer, &gaussians, camera)?;
-    let v_image = device.upload("derivatives by the image", v_image)?;
+    let d_image = device.upload("derivatives by the image", d_image)?;
     let out = GaussianGradients::plan(scene.len()).make(device)?;
     let mut recorder = device.recorder("backward");
-    rasterizer.backward(&mut recorder, &gaussians, camera, &v_image, &out)?;
+    rasterizer.backward(&mut recorder, &gaussians, camera, &d_image, &out)?;
     recorder.submit()?;
     let mut section = device.read(&out.geometry)?;
     let [means, scales, quats] = [(); GEOMETRY_SECTIONS].map(|()| {
@@ -153,15 +153,15 @@ pub(super) fn compare(
     let background = DVec3::from(BACKGROUND.map(f64::from));
     let rendering = twin::forward(&projection, scene, background, Cutoffs::default());
     let undecided = undecided(&projection, &rendering);
-    let mut v_image = scenes::v_image(9, rendering.frame.image.len());
-    for (v, undecided) in v_image.iter_mut().zip(&undecided) {
+    let mut d_image = scenes::d_image(9, rendering.frame.image.len());
+    for (v, undecided) in d_image.iter_mut().zip(&undecided) {
         if *undecided {
             *v = [0.0; 4];
         }
     }
-    let found = render(device, settings, scene, camera, &v_image)?;
-    let v_image: Vec<[f64; 4]> = v_image.iter().map(|v| v.map(f64::from)).collect();
-    let (_, truth) = twin::backward(&projection, scene, &rendering, &v_image, Cutoffs::default());
+    let found = render(device, settings, scene, camera, &d_image)?;
+    let d_image: Vec<[f64; 4]> = d_image.iter().map(|v| v.map(f64::from)).collect();
+    let (_, truth) = twin::backward(&projection, scene, &rendering, &d_image, Cutoffs::default());
     let decided = |image: Vec<[f64; 4]>| -> Vec<f64> {
         let pixels = image.into_iter().zip(&undecided).filter(|(_, undecided)| !**undecided);
         pixels.flat_map(|(pixel, _)| pixel).collect()
@@ -176,11 +176,11 @@ pub(super) fn compare(
         };
     Ok(vec![
         (IMAGE, largest_difference(&image, &decided(rendering.frame.image))),
-        (V_MEANS, gradient(means, 0..3, |v| v.mean.to_array().to_vec())),
-        (V_OPACITIES, gradient(means, 3..4, |v| vec![v.opacity])),
-        (V_SCALES, gradient(scales, 0..3, |v| v.scale.to_array().to_vec())),
-        (V_QUATS, gradient(quats, 0..4, |v| v.quat.to_vec())),
-        (V_COLORS, gradient(colors, 0..3, |v| v.color.to_array().to_vec())),
+        (D_MEANS, gradient(means, 0..3, |v| v.mean.to_array().to_vec())),
+        (D_OPACITIES, gradient(means, 3..4, |v| vec![v.opacity])),
+        (D_SCALES, gradient(scales, 0..3, |v| v.scale.to_array().to_vec())),
+        (D_QUATS, gradient(quats, 0..4, |v| v.quat.to_vec())),
+        (D_COLORS, gradient(colors, 0..3, |v| v.color.to_array().to_vec())),
     ])
 }
 

@@ -76,7 +76,7 @@ pub(super) fn forward_camera(width: u32, height: u32) -> Camera {
 }
 
 /// Random derivatives by an image of `pixels` pixels, from -1 to 1.
-pub(super) fn v_image(seed: u64, pixels: usize) -> Vec<[f32; 4]> {
+pub(super) fn d_image(seed: u64, pixels: usize) -> Vec<[f32; 4]> {
     let mut rng = Pcg64::seed_from_u64(seed);
     (0..pixels).map(|_| [0; 4].map(|_| rng.random_range(-1.0..1.0_f32))).collect()
 }

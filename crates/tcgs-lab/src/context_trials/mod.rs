@@ -133,7 +133,7 @@ fn code(
         provenance: Provenance::unstated(),
     };
     encode(scene, candidates, &settings)
-        .map_err(|fault| Problem::new(ProblemType::NotEncodable, fault.to_string()))
+        .map_err(|error| Problem::new(ProblemType::NotEncodable, error.to_string()))
 }
 
 /// The kinds of features, scalings and offsets.

@@ -14,7 +14,7 @@ use super::{
 };
 
 /// What a report is made from.
-pub struct Content<'a> {
+pub struct ReportContent<'a> {
     pub records: &'a [RunRecord],
     pub groups: &'a [Group<'a>],
     pub plots: &'a Plots,
@@ -46,7 +46,7 @@ fn scientific(estimate: Option<Estimate>) -> String {
     half_width.map_or_else(|| format!("{mean:.1e}"), |half| format!("{mean:.1e} ± {half:.0e}"))
 }
 
-impl Content<'_> {
+impl ReportContent<'_> {
     /// Where the report stands, and what its figures are.
     pub fn introduction(&self) -> String {
         format!(

@@ -188,7 +188,7 @@ impl Matrix {
     /// # Errors
     /// What is wrong with it, and where.
     pub fn parse(text: &str) -> Result<Self, String> {
-        let matrix: Self = toml::from_str(text).map_err(|fault| fault.to_string())?;
+        let matrix: Self = toml::from_str(text).map_err(|error| error.to_string())?;
         if matrix.runs.is_empty() && matrix.render.is_none() {
             return Err("there is no [[runs]] and no [render], so there is nothing to do".to_owned());
         }
@@ -199,8 +199,8 @@ impl Matrix {
             }
             for model in &block.models {
                 for options in block.options(model.0) {
-                    options.validated().map_err(|fault| {
-                        format!("[[runs]] number {}: {}: {}", number + 1, fault.option, fault.fault)
+                    options.validated().map_err(|error| {
+                        format!("[[runs]] number {}: {}: {}", number + 1, error.option, error.error)
                     })?;
                 }
             }
@@ -395,8 +395,8 @@ mod tests {
             ("[render]\nsides = [4]\ngaussians = [10]\n", &["line 2", "pixels"]),
             ("", &["nothing to do"]),
         ] {
-            let fault = Matrix::parse(text).expect_err(text);
-            assert!(words.iter().all(|word| fault.contains(word)), "{text}: {fault}");
+            let error = Matrix::parse(text).expect_err(text);
+            assert!(words.iter().all(|word| error.contains(word)), "{text}: {error}");
         }
     }
 }

@@ -137,10 +137,10 @@ pub fn measure(
 
 /// A square view from outside the shell.
 fn camera(side: u32) -> Result<Camera, RenderError> {
-    let fault = |what: &str| RenderError::Scene(format!("no {what} for a view of {side} pixels"));
-    let pose = Pose::look_at(DVec3::new(3.0, 1.0, 1.5), DVec3::ZERO, DVec3::Z).map_err(|_| fault("pose"))?;
-    let intrinsics = Intrinsics::from_horizontal_fov(0.7, side, side).map_err(|_| fault("camera"))?;
-    Camera::new(intrinsics, pose).map_err(|_| fault("camera"))
+    let error = |what: &str| RenderError::Scene(format!("no {what} for a view of {side} pixels"));
+    let pose = Pose::look_at(DVec3::new(3.0, 1.0, 1.5), DVec3::ZERO, DVec3::Z).map_err(|_| error("pose"))?;
+    let intrinsics = Intrinsics::from_horizontal_fov(0.7, side, side).map_err(|_| error("camera"))?;
+    Camera::new(intrinsics, pose).map_err(|_| error("camera"))
 }
 
 /// Flat Gaussians on a shell of radius one, about as wide as the distance to their neighbors and turned at random, as on a surface.

@@ -62,7 +62,7 @@ impl FromStr for Variant {
             return Err(format!("'{text}': only tcgs has parts to leave out or to ask for"));
         }
         let variant = Self { model, without, with };
-        variant.options(&TrainOptions::default()).validated().map_err(|fault| fault.fault)?;
+        variant.options(&TrainOptions::default()).validated().map_err(|error| error.error)?;
         Ok(variant)
     }
 }

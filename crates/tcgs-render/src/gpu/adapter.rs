@@ -199,8 +199,8 @@ mod tests {
 
     #[test]
     fn an_adapter_that_does_not_exist_is_refused_by_name() {
-        let fault = choose(&AdapterChoice::Named("no such adapter".to_owned())).expect_err("refused");
-        assert!(matches!(fault, GpuError::NoAdapter { wanted, .. } if wanted == "no such adapter"));
+        let error = choose(&AdapterChoice::Named("no such adapter".to_owned())).expect_err("refused");
+        assert!(matches!(error, GpuError::NoAdapter { wanted, .. } if wanted == "no such adapter"));
     }
 
     #[test]

@@ -63,7 +63,7 @@ impl Device {
             required_limits: adapter.limits(),
             ..wgpu::DeviceDescriptor::default()
         }))
-        .map_err(|fault| GpuError::Open { adapter: report.name.clone(), fault: fault.to_string() })?;
+        .map_err(|error| GpuError::Open { adapter: report.name.clone(), error: error.to_string() })?;
         let (ledger, bind_groups) = (Arc::new(Ledger::new()), Arc::default());
         let constants = Constants::new(&inner, &ledger, &bind_groups);
         let faults = Arc::new(Faults::default());
@@ -170,7 +170,7 @@ impl Device {
             return Err(GpuError::DeviceLost(reason.clone()));
         }
         match &*self.faults.rejected.lock().unwrap_or_else(PoisonError::into_inner) {
-            Some(fault) => Err(GpuError::Rejected(fault.clone())),
+            Some(error) => Err(GpuError::Rejected(error.clone())),
             None => Ok(()),
         }
     }
@@ -232,9 +232,9 @@ impl Device {
                 let _ = self.faults.hung.set(waited);
             }
             // A lost device may have taken a submission without running it; it stays lost.
-            Err(fault) => {
+            Err(error) => {
                 let mut lost = self.faults.lost.lock().unwrap_or_else(PoisonError::into_inner);
-                lost.get_or_insert_with(|| fault.to_string());
+                lost.get_or_insert_with(|| error.to_string());
             }
         }
         self.check()

@@ -20,12 +20,12 @@ pub enum GpuError {
         available: String,
     },
     /// The adapter refused to open.
-    #[error("the adapter '{adapter}' could not be opened: {fault}")]
+    #[error("the adapter '{adapter}' could not be opened: {error}")]
     Open {
         /// Its name.
         adapter: String,
         /// The driver's message.
-        fault: String,
+        error: String,
     },
     /// The device was lost; everything on it is gone.
     #[error("the device was lost: {0}")]
@@ -44,12 +44,12 @@ pub enum GpuError {
     #[error("the device rejected a command: {0}")]
     Rejected(String),
     /// A kernel does not compose or validate.
-    #[error("kernel '{kernel}': {fault}")]
+    #[error("kernel '{kernel}': {error}")]
     Kernel {
         /// File name without extension.
         kernel: String,
         /// The composer's or validator's message.
-        fault: String,
+        error: String,
     },
     /// A buffer is larger than the adapter can bind.
     #[error("buffer '{label}' needs {bytes} bytes; this adapter binds at most {limit}")]

@@ -96,9 +96,9 @@ mod tests {
         let ledger = Arc::new(Ledger::new());
         ledger.set_budget(100);
         let first = ledger.reserve("rows", 60).expect("room");
-        let fault = ledger.reserve("gradients", 41).expect_err("one too many");
+        let error = ledger.reserve("gradients", 41).expect_err("one too many");
         assert_eq!(
-            fault.to_string(),
+            error.to_string(),
             "buffer 'gradients' needs 41 bytes; 60 bytes of the budget of 100 bytes on the device are in use"
         );
         assert!(ledger.reserve("wrap", u64::MAX).is_err());

@@ -33,7 +33,7 @@ pub struct Recorder<'a> {
     staged: Vec<Reservation>,
     constants: RefCell<RecordedConstants>,
     /// The first fault of recording; submitting reports it.
-    fault: Option<GpuError>,
+    error: Option<GpuError>,
 }
 
 impl Device {
@@ -46,7 +46,7 @@ impl Device {
             times: None,
             staged: Vec::new(),
             constants: RefCell::default(),
-            fault: None,
+            error: None,
         }
     }
 
@@ -100,7 +100,7 @@ impl<'d> Recorder<'d> {
         if let Some(times) = &mut self.times {
             times.dispatch();
         }
-        let (x, y) = spread(groups);
+        let (x, y) = dispatch_size(groups);
         let group = self.bind(kernel, bindings);
         let pass = self.pass(kernel);
         pass.set_pipeline(&kernel.pipeline);
@@ -142,8 +142,8 @@ impl<'d> Recorder<'d> {
         let size = (bytes.len() as u64).next_multiple_of(wgpu::COPY_BUFFER_ALIGNMENT);
         match self.device.ledger.reserve("recorded write", size) {
             Ok(reservation) => self.staged.push(reservation),
-            Err(fault) => {
-                self.fault.get_or_insert(fault);
+            Err(error) => {
+                self.error.get_or_insert(error);
                 return;
             }
         }
@@ -171,8 +171,8 @@ impl<'d> Recorder<'d> {
                 self.outside().copy_buffer_to_buffer(&part.buffer, part.start, buffer.raw(), 0, size);
             }
             Ok(None) => {}
-            Err(fault) => {
-                self.fault.get_or_insert(fault);
+            Err(error) => {
+                self.error.get_or_insert(error);
             }
         }
     }
@@ -260,8 +260,8 @@ impl<'d> Recorder<'d> {
 
     fn send(mut self) -> Result<wgpu::SubmissionIndex, GpuError> {
         self.open = None;
-        if let Some(fault) = self.fault.take() {
-            return Err(fault);
+        if let Some(error) = self.error.take() {
+            return Err(error);
         }
         self.device.check()?;
         let device = self.device;
@@ -297,7 +297,7 @@ impl<'d> Recorder<'d> {
     }
 }
 
-fn spread(groups: u32) -> (u32, u32) {
+fn dispatch_size(groups: u32) -> (u32, u32) {
     if groups <= MAX_GROUPS_PER_DIMENSION {
         (groups, 1)
     } else {
@@ -329,7 +329,7 @@ mod tests {
     #[test]
     fn group_counts_are_spread_over_two_dimensions() {
         for groups in [1, 65_535, 65_536, 200_000, 10_000_000] {
-            let (x, y) = spread(groups);
+            let (x, y) = dispatch_size(groups);
             assert!(x <= 65_535 && y <= 65_535);
             assert!(u64::from(x) * u64::from(y) >= u64::from(groups));
         }

@@ -68,11 +68,11 @@ impl PendingRead {
     ) -> Result<(R, StagingBuffer), GpuError> {
         let Self { staging, submission, bytes } = self;
         device.wait_for(submission)?;
-        let unreadable = |fault: String| GpuError::Rejected(format!("mapping for reading: {fault}"));
+        let unreadable = |error: String| GpuError::Rejected(format!("mapping for reading: {error}"));
         let view =
-            staging.inner.slice(..).get_mapped_range().map_err(|fault| unreadable(fault.to_string()))?;
+            staging.inner.slice(..).get_mapped_range().map_err(|error| unreadable(error.to_string()))?;
         let elements =
-            bytemuck::try_cast_slice(&view[..bytes]).map_err(|fault| unreadable(fault.to_string()))?;
+            bytemuck::try_cast_slice(&view[..bytes]).map_err(|error| unreadable(error.to_string()))?;
         let taken = take(elements);
         drop(view);
         staging.inner.unmap();

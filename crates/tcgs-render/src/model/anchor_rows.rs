@@ -4,7 +4,7 @@ use crate::domain::{AnchorScene, Lattice, NearPlane, RenderNetworks, SceneFrame,
 
 /// Widths of the model.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Shape {
+pub struct ModelShape {
     /// Feature width F.
     pub features: usize,
     /// Hidden values of each network.
@@ -13,7 +13,7 @@ pub struct Shape {
     pub offsets: usize,
 }
 
-impl Shape {
+impl ModelShape {
     /// Networks as wide as the feature (METHOD.md §2.2).
     #[must_use]
     pub const fn new(features: usize, offsets: usize) -> Self {
@@ -77,7 +77,7 @@ impl Shape {
 #[derive(Debug, Clone, PartialEq)]
 pub struct AnchorRows {
     /// Widths.
-    pub shape: Shape,
+    pub shape: ModelShape,
     /// The lattice of `cells`.
     pub lattice: Lattice,
     /// Cell of each anchor.
@@ -128,10 +128,10 @@ impl AnchorRows {
         retain_rows(&mut self.values, self.shape.row(), &keep);
     }
 
-    /// The rows of a finished scene, whose shape must pass [`Shape::check`].
+    /// The rows of a finished scene, whose shape must pass [`ModelShape::check`].
     #[must_use]
     pub fn from_scene(scene: &AnchorScene) -> Self {
-        let shape = Shape::of(scene);
+        let shape = ModelShape::of(scene);
         let mut values = Vec::with_capacity(scene.len() * shape.row());
         let mut masks = Vec::with_capacity(scene.len());
         for anchor in 0..scene.len() {
@@ -187,7 +187,7 @@ pub fn retain_rows<T: Copy>(values: &mut Vec<T>, width: usize, keep: &[bool]) {
 
 /// The mask with every offset on.
 #[must_use]
-pub fn all_offsets(shape: Shape) -> u32 {
+pub fn all_offsets(shape: ModelShape) -> u32 {
     if shape.offsets >= 32 { u32::MAX } else { (1 << shape.offsets) - 1 }
 }
 
@@ -198,7 +198,7 @@ mod tests {
     use super::*;
     use crate::model::NetworkLayout;
 
-    const SHAPE: Shape = Shape::new(4, 3);
+    const SHAPE: ModelShape = ModelShape::new(4, 3);
 
     #[test]
     fn rows_and_scenes_hold_the_same_anchors() {
@@ -245,7 +245,7 @@ mod tests {
 
     #[test]
     fn empty_anchors_go_and_the_others_keep_their_rows() {
-        let shape = Shape::new(4, 2);
+        let shape = ModelShape::new(4, 2);
         let mut rows = AnchorRows {
             shape,
             lattice: Lattice { voxel: 1.0, origin: [0.0; 3] },
@@ -266,7 +266,7 @@ mod tests {
     #[test]
     fn every_offset_has_its_bit() {
         for (offsets, mask) in [(1, 1), (10, 0x3ff), (31, 0x7fff_ffff), (32, u32::MAX)] {
-            assert_eq!(all_offsets(Shape::new(4, offsets)), mask);
+            assert_eq!(all_offsets(ModelShape::new(4, offsets)), mask);
         }
     }
 }

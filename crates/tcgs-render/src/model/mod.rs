@@ -4,6 +4,6 @@ mod anchor_rows;
 pub mod gaussian_rows;
 mod networks;
 
-pub use anchor_rows::{AnchorRows, Shape, all_offsets, retain_rows};
+pub use anchor_rows::{AnchorRows, ModelShape, all_offsets, retain_rows};
 pub use gaussian_rows::GaussianRows;
 pub use networks::{LayerSpec, NetworkLayout};

@@ -6,7 +6,7 @@
 
 use rand::{Rng, RngExt};
 
-use super::Shape;
+use super::ModelShape;
 use crate::domain::{DenseLayer, Mlp, RenderNetworks, anchors::VIEW_INPUTS};
 
 /// One dense layer in the flat array.
@@ -48,7 +48,7 @@ impl LayerSpec {
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct NetworkLayout {
     /// Widths of the model.
-    pub shape: Shape,
+    pub shape: ModelShape,
     /// The three first layers as one.
     pub hidden: LayerSpec,
     /// Output layers: opacity, covariance, color.
@@ -60,7 +60,7 @@ pub struct NetworkLayout {
 impl NetworkLayout {
     /// The layout for a shape.
     #[must_use]
-    pub fn new(shape: Shape) -> Self {
+    pub fn new(shape: ModelShape) -> Self {
         let width = shape.hidden;
         let mut next = 0;
         let mut layer = |inputs: usize, outputs: usize, input_row: usize, output_row: usize| {
@@ -178,7 +178,7 @@ mod tests {
 
     #[test]
     fn networks_survive_the_flat_layout() {
-        let layout = NetworkLayout::new(Shape::new(8, 3));
+        let layout = NetworkLayout::new(ModelShape::new(8, 3));
         let values = layout.initial(&mut rand_pcg::Pcg64::seed_from_u64(1));
         assert_eq!(layout.from_networks(&layout.to_networks(&values)), Ok(values.clone()));
         assert!(values.iter().all(|value| *value != 0.0), "every parameter is initialized");
@@ -187,7 +187,7 @@ mod tests {
 
     #[test]
     fn every_parameter_belongs_to_its_network() {
-        let layout = NetworkLayout::new(Shape::new(8, 3));
+        let layout = NetworkLayout::new(ModelShape::new(8, 3));
         let owners = layout.owners();
         let marks: Vec<f32> = owners.iter().map(|owner| f32::from(*owner)).collect();
         let networks = layout.to_networks(&marks);

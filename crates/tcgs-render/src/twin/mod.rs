@@ -139,19 +139,19 @@ pub fn backward(
     projection: &Projection,
     gaussians: &[Gaussian],
     rendering: &Rendering,
-    v_image: &[[f64; 4]],
+    d_image: &[[f64; 4]],
     cutoffs: Cutoffs,
 ) -> (Vec<SplatGradient>, Vec<GaussianGradient>) {
-    let slots = raster_backward(projection, rendering, v_image, cutoffs);
-    let v_splats = gather(&rendering.lists, &slots);
-    let v_gaussians = gaussians
+    let slots = raster_backward(projection, rendering, d_image, cutoffs);
+    let d_splats = gather(&rendering.lists, &slots);
+    let d_gaussians = gaussians
         .iter()
         .zip(&rendering.splats)
-        .zip(&v_splats)
+        .zip(&d_splats)
         .map(|((gaussian, splat), v)| match splat {
             Some(_) => project_backward(projection, gaussian, v),
             None => clear_culled(),
         })
         .collect();
-    (v_splats, v_gaussians)
+    (d_splats, d_gaussians)
 }

@@ -362,12 +362,12 @@ fn the_whole_way_to_the_image_and_back_matches_the_oracles() {
             }
             raster.grow(&counts).expect("grown");
         }
-        let v_image: Vec<[f32; 4]> = oracle.v_image().iter().map(|v| v.map(|v| v as f32)).collect();
-        let v_image = device.upload("v_image", &v_image).expect("room");
+        let d_image: Vec<[f32; 4]> = oracle.d_image().iter().map(|v| v.map(|v| v as f32)).collect();
+        let d_image = device.upload("v_image", &d_image).expect("room");
         let d = plain.gaussian_gradients().expect("room").clone();
         let out = DeviceGaussians::plan(rows.len()).make(&device).expect("room");
         let mut recorder = device.recorder("backward");
-        raster.backward(&mut recorder, plain.gaussians(), &camera, &v_image, &d).expect("recorded");
+        raster.backward(&mut recorder, plain.gaussians(), &camera, &d_image, &d).expect("recorded");
         plain.backward(&mut recorder, &device_gaussians, &out).expect("recorded");
         recorder.submit().expect("submitted");
 
@@ -421,8 +421,8 @@ fn the_radius_is_three_deviations_along_the_longer_axis() {
     plain.forward(&mut recorder, &device_gaussians, &camera).expect("recorded");
     raster.forward(&mut recorder, plain.gaussians(), &camera, [0.0; 3]).expect("recorded");
     let d = plain.gaussian_gradients().expect("room").clone();
-    let v_image = device.upload("v_image", &random::v_image(1, 64 * 48)).expect("room");
-    raster.backward(&mut recorder, plain.gaussians(), &camera, &v_image, &d).expect("recorded");
+    let d_image = device.upload("v_image", &random::d_image(1, 64 * 48)).expect("room");
+    raster.backward(&mut recorder, plain.gaussians(), &camera, &d_image, &d).expect("recorded");
     recorder.submit().expect("submitted");
     assert!(!raster.counts().expect("counts").overflowed);
     let found = device.read(&d.means2d).expect("read");

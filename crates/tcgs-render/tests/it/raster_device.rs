@@ -26,11 +26,11 @@ fn run(settings: RasterSettings, scene: &Scene, camera: &Camera) -> Rendered {
 fn run_on(device: &Arc<Device>, settings: RasterSettings, scene: &Scene, camera: &Camera) -> Rendered {
     let mut rasterizer = Rasterizer::new(Arc::clone(device), settings).expect("a rasterizer");
     let pixels = camera.intrinsics.width as usize * camera.intrinsics.height as usize;
-    render(device, &mut rasterizer, scene, camera, BACKGROUND, &random::v_image(9, pixels))
+    render(device, &mut rasterizer, scene, camera, BACKGROUND, &random::d_image(9, pixels))
 }
 
 fn gradients(rendered: &Rendered) -> Vec<f64> {
-    let columns = [&rendered.v_means_opacity, &rendered.v_scales, &rendered.v_quats, &rendered.v_colors];
+    let columns = [&rendered.d_means_opacity, &rendered.d_scales, &rendered.d_quats, &rendered.d_colors];
     columns.into_iter().flat_map(|column| flat(column, 4)).collect()
 }
 
@@ -55,25 +55,25 @@ fn matches_twin_on(
     let background = DVec3::from(BACKGROUND.map(f64::from));
     let cutoffs = twin::Cutoffs::default();
     let rendering = twin::forward(&projection, &gaussians, background, cutoffs);
-    let v_image: Vec<[f64; 4]> =
-        random::v_image(9, (width * height) as usize).iter().map(|pixel| pixel.map(f64::from)).collect();
-    let (v_splats, v) = twin::backward(&projection, &gaussians, &rendering, &v_image, cutoffs);
+    let d_image: Vec<[f64; 4]> =
+        random::d_image(9, (width * height) as usize).iter().map(|pixel| pixel.map(f64::from)).collect();
+    let (d_splats, v) = twin::backward(&projection, &gaussians, &rendering, &d_image, cutoffs);
     let visible = rendering.splats.iter().flatten().count();
     assert!(found.counts.visible.abs_diff(visible as u32) <= 1, "{visible} visible");
     let image = relative_l2(&flat(&found.image, 4), &rendering.frame.image.concat());
     assert!(image < 1e-4, "image {image:e}");
     let columns: [(&str, Vec<f64>, Vec<f64>); 5] = [
-        ("means", flat(&found.v_means_opacity, 3), v.iter().flat_map(|v| v.mean.to_array()).collect()),
-        ("scales", flat(&found.v_scales, 3), v.iter().flat_map(|v| v.scale.to_array()).collect()),
-        ("quats", flat(&found.v_quats, 4), v.iter().flat_map(|v| v.quat).collect()),
-        ("colors", flat(&found.v_colors, 3), v.iter().flat_map(|v| v.color.to_array()).collect()),
-        ("means2d", flat(&found.v_means2d, 2), v_splats.iter().flat_map(|v| v.center.to_array()).collect()),
+        ("means", flat(&found.d_means_opacity, 3), v.iter().flat_map(|v| v.mean.to_array()).collect()),
+        ("scales", flat(&found.d_scales, 3), v.iter().flat_map(|v| v.scale.to_array()).collect()),
+        ("quats", flat(&found.d_quats, 4), v.iter().flat_map(|v| v.quat).collect()),
+        ("colors", flat(&found.d_colors, 3), v.iter().flat_map(|v| v.color.to_array()).collect()),
+        ("means2d", flat(&found.d_means2d, 2), d_splats.iter().flat_map(|v| v.center.to_array()).collect()),
     ];
     for (name, found, expected) in columns {
         let error = relative_l2(&found, &expected);
         assert!(error < 1e-4, "{name} {error:e}");
     }
-    let tiles: Vec<f64> = found.v_means2d.iter().map(|row| f64::from(row[2])).collect();
+    let tiles: Vec<f64> = found.d_means2d.iter().map(|row| f64::from(row[2])).collect();
     let expected: Vec<f64> = rendering.lists.tiles.iter().map(|tiles| f64::from(*tiles)).collect();
     assert!(relative_l2(&tiles, &expected) < 0.05, "tile counts differ only where rounding decides");
 }
@@ -98,10 +98,10 @@ fn without_subgroups_the_result_is_the_same_up_to_rounding() {
     let device = gpu();
     let camera = random::camera(50, 40);
     let scene = Scene::new(&random::gaussians(8, 500, 0.1));
-    let v_image = random::v_image(9, 2000);
+    let d_image = random::d_image(9, 2000);
     let mut plain =
         Rasterizer::without_subgroups(Arc::clone(&device), RasterSettings::default()).expect("one");
-    let plain = render(&device, &mut plain, &scene, &camera, BACKGROUND, &v_image);
+    let plain = render(&device, &mut plain, &scene, &camera, BACKGROUND, &d_image);
     let usual = run(RasterSettings::default(), &scene, &camera);
     assert!(relative_l2(&flat(&plain.image, 4), &flat(&usual.image, 4)) < 1e-6);
     assert!(relative_l2(&gradients(&plain), &gradients(&usual)) < 1e-5);
@@ -151,9 +151,9 @@ fn alternating_image_sizes_make_no_buffers_once_the_largest_was_seen() {
     let sizes = [(64, 48), (48, 64), (200, 30), (16, 16)];
     let mut view = |(width, height): (u32, u32)| {
         let camera = random::camera(width, height);
-        let v_image = random::v_image(9, (width * height) as usize);
+        let d_image = random::d_image(9, (width * height) as usize);
         let before = (device.buffers_made(), device.allocated_bytes());
-        let found = render(&device, &mut rasterizer, &scene, &camera, BACKGROUND, &v_image);
+        let found = render(&device, &mut rasterizer, &scene, &camera, BACKGROUND, &d_image);
         let fresh = run(RasterSettings::default(), &scene, &camera);
         assert!(found == fresh, "{width}x{height} after others");
         (device.buffers_made() - before.0, device.allocated_bytes() - before.1)
@@ -203,7 +203,7 @@ fn equal_depths_keep_index_order() {
 fn assert_empty(rendered: &Rendered) {
     let [r, g, b] = BACKGROUND;
     assert!(rendered.image.iter().all(|pixel| *pixel == [r, g, b, 1.0]));
-    assert!(gradients(rendered).iter().chain(&flat(&rendered.v_means2d, 4)).all(|v| *v == 0.0));
+    assert!(gradients(rendered).iter().chain(&flat(&rendered.d_means2d, 4)).all(|v| *v == 0.0));
     assert_eq!((rendered.counts.visible, rendered.counts.intersections), (0, 0));
 }
 
@@ -214,8 +214,8 @@ fn a_rasterizer_serves_scenes_and_images_of_all_sizes_in_turn() {
     for (count, width, height) in [(300, 64, 64), (20, 16, 16), (900, 200, 30), (0, 8, 8), (300, 64, 64)] {
         let camera = random::camera(width, height);
         let scene = Scene::new(&random::gaussians(17, count, 0.1));
-        let v_image = random::v_image(9, (width * height) as usize);
-        let found = render(&device, &mut shared, &scene, &camera, BACKGROUND, &v_image);
+        let d_image = random::d_image(9, (width * height) as usize);
+        let found = render(&device, &mut shared, &scene, &camera, BACKGROUND, &d_image);
         assert!(found == run(RasterSettings::default(), &scene, &camera), "{count} at {width}x{height}");
     }
 }
@@ -256,10 +256,10 @@ fn rows_beyond_the_count_are_left_out_and_never_written() {
     device.write(&gaussians.count, &[USED as u32]);
     let mut rasterizer = Rasterizer::new(Arc::clone(&device), RasterSettings::default()).expect("one");
     let out = spoiled_gradients(&device, 64);
-    let v_image = device.upload("v", &random::v_image(1, 400)).expect("a buffer");
+    let d_image = device.upload("v", &random::d_image(1, 400)).expect("a buffer");
     let mut recorder = device.recorder("both passes in one recording");
     rasterizer.forward(&mut recorder, &gaussians, &camera, BACKGROUND).expect("recorded");
-    rasterizer.backward(&mut recorder, &gaussians, &camera, &v_image, &out).expect("recorded");
+    rasterizer.backward(&mut recorder, &gaussians, &camera, &d_image, &out).expect("recorded");
     recorder.submit().expect("submitted");
     let image = device.read(rasterizer.image()).expect("an image");
     let alone = run(RasterSettings::default(), &Scene::new(&random::gaussians(12, 64, 0.2)[..USED]), &camera);
@@ -302,7 +302,7 @@ fn gaussians_that_cannot_be_drawn_are_culled_and_the_others_are_not_disturbed() 
     let mixed = run(RasterSettings::default(), &Scene::new(&mixed), &camera);
     assert!(alone.image == mixed.image);
     assert!(
-        alone.v_scales[..] == mixed.v_scales[..40] && mixed.v_scales[40..].iter().all(|v| *v == [0.0; 4])
+        alone.d_scales[..] == mixed.d_scales[..40] && mixed.d_scales[40..].iter().all(|v| *v == [0.0; 4])
     );
 }
 
@@ -360,14 +360,14 @@ fn overflow_is_reported_and_growing_gives_what_enough_room_would_have() {
     assert!(counts.overflowed && counts.intersections > 16_384, "{counts:?}");
     let failed = ForwardPasses { completed: 0, required: Some(counts.intersections as usize) };
     assert_eq!(rasterizer.take_forward_passes(), Ok(failed));
-    let v_image = random::v_image(9, 256 * 256);
-    let grown = render(&device, &mut rasterizer, &scene, &camera, BACKGROUND, &v_image);
+    let d_image = random::d_image(9, 256 * 256);
+    let grown = render(&device, &mut rasterizer, &scene, &camera, BACKGROUND, &d_image);
     assert_eq!(
         rasterizer.take_forward_passes(),
         Ok(failed),
         "what lacked room is told of although room was made since"
     );
-    let again = render(&device, &mut rasterizer, &scene, &camera, BACKGROUND, &v_image);
+    let again = render(&device, &mut rasterizer, &scene, &camera, BACKGROUND, &d_image);
     assert_eq!(rasterizer.take_forward_passes(), Ok(ForwardPasses { completed: 1, required: None }));
     assert_eq!(rasterizer.take_forward_passes(), Ok(ForwardPasses { completed: 0, required: None }));
     assert_eq!(grown.counts.intersections, counts.intersections);
@@ -383,20 +383,20 @@ fn a_backward_pass_of_another_camera_is_refused() {
     let device = gpu();
     let gaussians = Gaussians::plan(4, 1).make(&device).expect("room");
     let out = GaussianGradients::plan(4).make(&device).expect("room");
-    let v_image = device.buffer("v", 100).expect("a buffer");
+    let d_image = device.buffer("v", 100).expect("a buffer");
     let (camera, other) = (random::camera(10, 10), random::camera(10, 11));
     let mut rasterizer = Rasterizer::new(Arc::clone(&device), RasterSettings::default()).expect("one");
     let mut recorder = device.recorder("backward");
-    let early = rasterizer.backward(&mut recorder, &gaussians, &camera, &v_image, &out);
+    let early = rasterizer.backward(&mut recorder, &gaussians, &camera, &d_image, &out);
     assert_eq!(early, Err(RenderError::OutOfStep));
     rasterizer.forward(&mut recorder, &gaussians, &camera, BACKGROUND).expect("recorded");
     assert_eq!(
-        rasterizer.backward(&mut recorder, &gaussians, &other, &v_image, &out),
+        rasterizer.backward(&mut recorder, &gaussians, &other, &d_image, &out),
         Err(RenderError::OutOfStep)
     );
     let short = device.buffer("v", 99).expect("a buffer");
     let refused = rasterizer.backward(&mut recorder, &gaussians, &camera, &short, &out);
     assert!(matches!(refused, Err(RenderError::Length { found: 99, expected: 100, .. })));
-    rasterizer.backward(&mut recorder, &gaussians, &camera, &v_image, &out).expect("recorded");
+    rasterizer.backward(&mut recorder, &gaussians, &camera, &d_image, &out).expect("recorded");
     recorder.submit().expect("submitted");
 }

@@ -26,14 +26,14 @@ const UNORDERED: &str = "depth_ties";
 struct Found {
     /// Color and transmittance.
     image: Vec<[f64; 4]>,
-    v_means: Vec<[f64; 3]>,
-    v_opacities: Vec<f64>,
-    v_scales: Vec<f64>,
-    v_quats: Vec<f64>,
-    v_colors: Vec<Vec<f64>>,
+    d_means: Vec<[f64; 3]>,
+    d_opacities: Vec<f64>,
+    d_scales: Vec<f64>,
+    d_quats: Vec<f64>,
+    d_colors: Vec<Vec<f64>>,
     /// By visible Gaussian.
-    v_means2d: Vec<f64>,
-    v_conics: Option<Vec<f64>>,
+    d_means2d: Vec<f64>,
+    d_conics: Option<Vec<f64>>,
 }
 
 fn worst(a: impl Iterator<Item = f64>, b: &[f64]) -> f64 {
@@ -45,19 +45,19 @@ fn compare(case: &str, oracle: &Oracle, found: &Found, rgb_bound: f64, bound: f6
     let alpha = worst(found.image.iter().map(|pixel| 1.0 - pixel[3]), &oracle.numbers("f64.alpha"));
     let rgb = worst(found.image.iter().flat_map(|pixel| pixel[..3].to_vec()), &oracle.numbers("f64.rgb"));
     let (means, sh) = (oracle.rows("in.means", 3), oracle.rows("in.sh", 48));
-    let (v_sh, by_color) = sh_backward(&means, &sh, oracle.eye(), &found.v_colors);
-    let v_means: Vec<f64> =
-        found.v_means.concat().iter().zip(by_color.concat()).map(|(a, b)| a + b).collect();
-    let v_sh = v_sh.concat();
+    let (d_sh, by_color) = sh_backward(&means, &sh, oracle.eye(), &found.d_colors);
+    let d_means: Vec<f64> =
+        found.d_means.concat().iter().zip(by_color.concat()).map(|(a, b)| a + b).collect();
+    let d_sh = d_sh.concat();
     let mut gradients = vec![
-        ("v_means", &v_means),
-        ("v_quats", &found.v_quats),
-        ("v_scales", &found.v_scales),
-        ("v_opacities", &found.v_opacities),
-        ("v_sh", &v_sh),
-        ("v_means2d", &found.v_means2d),
+        ("v_means", &d_means),
+        ("v_quats", &found.d_quats),
+        ("v_scales", &found.d_scales),
+        ("v_opacities", &found.d_opacities),
+        ("v_sh", &d_sh),
+        ("v_means2d", &found.d_means2d),
     ];
-    gradients.extend(found.v_conics.as_ref().map(|values| ("v_conics", values)));
+    gradients.extend(found.d_conics.as_ref().map(|values| ("v_conics", values)));
     let ordered = case != UNORDERED;
     let mut fine = alpha <= rgb_bound && (rgb <= rgb_bound || !ordered);
     let mut line = format!("{case:26} rgb {rgb:.1e} alpha {alpha:.1e}");
@@ -73,21 +73,21 @@ fn compare(case: &str, oracle: &Oracle, found: &Found, rgb_bound: f64, bound: f6
 fn on_the_device(oracle: &Oracle, subgroups: bool) -> Found {
     let device = gpu();
     let scene = Scene::new(&oracle.gaussians());
-    let v_image: Vec<[f32; 4]> = oracle.v_image().iter().map(|pixel| pixel.map(|v| v as f32)).collect();
+    let d_image: Vec<[f32; 4]> = oracle.d_image().iter().map(|pixel| pixel.map(|v| v as f32)).collect();
     let background = oracle.background().as_vec3().to_array();
     let new = if subgroups { Rasterizer::new } else { Rasterizer::without_subgroups };
     let mut rasterizer = new(Arc::clone(&device), oracle.settings()).expect("a rasterizer");
-    let got = render(&device, &mut rasterizer, &scene, &oracle.camera(), background, &v_image);
-    let visible: Vec<[f32; 4]> = oracle.ids().iter().map(|id| got.v_means2d[*id]).collect();
+    let got = render(&device, &mut rasterizer, &scene, &oracle.camera(), background, &d_image);
+    let visible: Vec<[f32; 4]> = oracle.ids().iter().map(|id| got.d_means2d[*id]).collect();
     Found {
         image: got.image.iter().map(|pixel| pixel.map(f64::from)).collect(),
-        v_means: got.v_means_opacity.iter().map(|row| [0, 1, 2].map(|i| f64::from(row[i]))).collect(),
-        v_opacities: got.v_means_opacity.iter().map(|row| f64::from(row[3])).collect(),
-        v_scales: flat(&got.v_scales, 3),
-        v_quats: flat(&got.v_quats, 4),
-        v_colors: got.v_colors.iter().map(|row| flat(&[*row], 3)).collect(),
-        v_means2d: flat(&visible, 2),
-        v_conics: None,
+        d_means: got.d_means_opacity.iter().map(|row| [0, 1, 2].map(|i| f64::from(row[i]))).collect(),
+        d_opacities: got.d_means_opacity.iter().map(|row| f64::from(row[3])).collect(),
+        d_scales: flat(&got.d_scales, 3),
+        d_quats: flat(&got.d_quats, 4),
+        d_colors: got.d_colors.iter().map(|row| flat(&[*row], 3)).collect(),
+        d_means2d: flat(&visible, 2),
+        d_conics: None,
     }
 }
 
@@ -95,17 +95,17 @@ fn in_the_twin(oracle: &Oracle) -> Found {
     let (projection, gaussians) = (oracle.projection(), oracle.gaussians());
     let cutoffs = twin::Cutoffs::default();
     let rendering = twin::forward(&projection, &gaussians, oracle.background(), cutoffs);
-    let (v_splats, v) = twin::backward(&projection, &gaussians, &rendering, &oracle.v_image(), cutoffs);
-    let visible: Vec<_> = oracle.ids().iter().map(|id| v_splats[*id]).collect();
+    let (d_splats, v) = twin::backward(&projection, &gaussians, &rendering, &oracle.d_image(), cutoffs);
+    let visible: Vec<_> = oracle.ids().iter().map(|id| d_splats[*id]).collect();
     Found {
         image: rendering.frame.image,
-        v_means: v.iter().map(|v| v.mean.to_array()).collect(),
-        v_opacities: v.iter().map(|v| v.opacity).collect(),
-        v_scales: v.iter().flat_map(|v| v.scale.to_array()).collect(),
-        v_quats: v.iter().flat_map(|v| v.quat).collect(),
-        v_colors: v.iter().map(|v| v.color.to_array().to_vec()).collect(),
-        v_means2d: visible.iter().flat_map(|v| v.center.to_array()).collect(),
-        v_conics: Some(visible.iter().flat_map(|v| v.conic.to_array()).collect()),
+        d_means: v.iter().map(|v| v.mean.to_array()).collect(),
+        d_opacities: v.iter().map(|v| v.opacity).collect(),
+        d_scales: v.iter().flat_map(|v| v.scale.to_array()).collect(),
+        d_quats: v.iter().flat_map(|v| v.quat).collect(),
+        d_colors: v.iter().map(|v| v.color.to_array().to_vec()).collect(),
+        d_means2d: visible.iter().flat_map(|v| v.center.to_array()).collect(),
+        d_conics: Some(visible.iter().flat_map(|v| v.conic.to_array()).collect()),
     }
 }
 

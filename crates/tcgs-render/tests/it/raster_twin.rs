@@ -38,18 +38,18 @@ fn check(settings: RasterSettings, change: impl Fn(&mut Gaussian)) {
     let camera = random::camera(21, 18);
     let projection = Projection::new(&camera, &settings);
     let background = DVec3::new(0.3, 0.6, 0.1);
-    let v_image: Vec<[f64; 4]> =
-        random::v_image(3, 21 * 18).iter().map(|pixel| pixel.map(f64::from)).collect();
+    let d_image: Vec<[f64; 4]> =
+        random::d_image(3, 21 * 18).iter().map(|pixel| pixel.map(f64::from)).collect();
     let mut gaussians = random::gaussians(7, 12, 0.5);
     gaussians.iter_mut().for_each(&change);
     let loss = |gaussians: &[Gaussian]| -> f64 {
         let rendering = twin::forward(&projection, gaussians, background, SMOOTH);
-        let image = rendering.frame.image.iter().zip(&v_image);
+        let image = rendering.frame.image.iter().zip(&d_image);
         image.map(|(p, v)| p[0] * v[0] + p[1] * v[1] + p[2] * v[2] + (1.0 - p[3]) * v[3]).sum()
     };
     let rendering = twin::forward(&projection, &gaussians, background, SMOOTH);
     assert!(rendering.splats.iter().all(Option::is_some), "the scene must be in view");
-    let (_, found) = twin::backward(&projection, &gaussians, &rendering, &v_image, SMOOTH);
+    let (_, found) = twin::backward(&projection, &gaussians, &rendering, &d_image, SMOOTH);
     for i in 0..gaussians.len() {
         for k in 0..14 {
             let step = 1e-6;

@@ -6,7 +6,7 @@ use glam::DVec3;
 use tcgs_codec::domain::{AnchorScene, Background, Digest, Lattice, Scene, SceneScale};
 use tcgs_render::{
     PackedImage, Projection, RasterSettings, RenderError, RenderViews, Renderer, SceneViewer,
-    model::{AnchorRows, NetworkLayout, Shape},
+    model::{AnchorRows, ModelShape, NetworkLayout},
     twin::{self, neural},
     views::{MIN_VISIBLE_ALPHA, ScalarKind, Viewable},
 };
@@ -16,7 +16,7 @@ use crate::support::{
     random,
 };
 
-const SHAPE: Shape = Shape::new(4, 2);
+const SHAPE: ModelShape = ModelShape::new(4, 2);
 
 /// A hundred anchors in a spiral, and their rows.
 fn scene() -> (AnchorRows, Vec<f32>, AnchorScene) {
@@ -143,7 +143,7 @@ fn networks_of_another_depth_are_refused() {
     let (_, _, mut finished) = scene();
     finished.networks.color.layers.pop();
     let refused = Renderer::new(&gpu(), &finished, Background::Black).map(drop);
-    assert!(matches!(refused, Err(RenderError::Scene(fault)) if fault.contains("layers")));
+    assert!(matches!(refused, Err(RenderError::Scene(error)) if error.contains("layers")));
 }
 
 #[test]
@@ -160,7 +160,7 @@ fn widths_that_a_file_may_have_and_the_kernels_do_not_know_are_refused() {
     };
     for (features, offsets, part) in [(4, 33, "33 offsets"), (4, 64, "64 offsets"), (0, 2, "no channels")] {
         let refused = wide(features, offsets);
-        assert!(matches!(&refused, Err(RenderError::Scene(fault)) if fault.contains(part)), "{refused:?}");
+        assert!(matches!(&refused, Err(RenderError::Scene(error)) if error.contains(part)), "{refused:?}");
     }
 }
 
@@ -241,8 +241,8 @@ fn a_hung_device_costs_one_view_and_is_opened_again_for_the_next() {
     let view = || viewer.render(Digest::of(b"a"), &load, &camera);
     let first = view().expect("a view");
     viewer.hang_device();
-    let fault = view().expect_err("it does not answer");
-    assert_eq!((fault.status, &*fault.kind), (503, "urn:tcgs:problem:device-timeout"), "{fault:?}");
+    let error = view().expect_err("it does not answer");
+    assert_eq!((error.status, &*error.kind), (503, "urn:tcgs:problem:device-timeout"), "{error:?}");
     assert_eq!(loads.get(), 1, "what made a device hang is not tried on the next");
     assert_eq!((view().expect("a view"), loads.get()), (first, 2));
 }

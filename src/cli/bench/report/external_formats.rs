@@ -27,7 +27,7 @@ pub(super) fn check(script: &Path) -> Result<(), CliError> {
     match fs::metadata(script) {
         Ok(found) if found.is_file() => Ok(()),
         Ok(_) => Err(problem("it is not a file".to_owned()).into()),
-        Err(fault) => Err(problem(fault.to_string()).into()),
+        Err(error) => Err(problem(error.to_string()).into()),
     }
 }
 
@@ -40,11 +40,11 @@ pub(super) fn measure(
     open: &dyn Fn(wiring::SceneFile) -> Result<wiring::SceneViews, Problem>,
 ) -> Result<Vec<ExternalFile>, CliError> {
     let Some(script) = script else { return Ok(Vec::new()) };
-    let folder = tempfile::tempdir().map_err(|fault| CliError::unwritable(&std::env::temp_dir(), &fault))?;
+    let folder = tempfile::tempdir().map_err(|error| CliError::unwritable(&std::env::temp_dir(), &error))?;
     let mut measured = Vec::new();
     for Converted { format, bytes, decoded } in convert(script, &output.file, folder.path())? {
         let file = wiring::read(&files::read(&decoded)?)
-            .map_err(|fault| fault.in_file(decoded.display().to_string()))?;
+            .map_err(|error| error.in_file(decoded.display().to_string()))?;
         let background = output.metrics.background;
         let (scores, _) = wiring::score(&open(file)?, dataset, background, None, &mut |_, _, _| Ok(()))?;
         measured.push(ExternalFile { format, bytes, psnr: scores.psnr, ssim: scores.ssim });
@@ -64,8 +64,8 @@ pub(super) struct Converted {
 /// Runs `script` on the bytes of a `.ply`; files lie in `folder`.
 pub(super) fn convert(script: &Path, ply: &[u8], folder: &Path) -> Result<Vec<Converted>, CliError> {
     let (input, out) = (folder.join("input.ply"), folder.join("converted"));
-    fs::write(&input, ply).map_err(|fault| CliError::unwritable(&input, &fault))?;
-    fs::create_dir_all(&out).map_err(|fault| CliError::unwritable(&out, &fault))?;
+    fs::write(&input, ply).map_err(|error| CliError::unwritable(&input, &error))?;
+    fs::create_dir_all(&out).map_err(|error| CliError::unwritable(&out, &error))?;
     let failed = |detail: String| -> CliError {
         Problem::new(ProblemType::ExternalFormatsFailed, detail).in_file(script.display().to_string()).into()
     };
@@ -75,13 +75,13 @@ pub(super) fn convert(script: &Path, ply: &[u8], folder: &Path) -> Result<Vec<Co
         .stdin(Stdio::null())
         .stdout(Stdio::null())
         .status()
-        .map_err(|fault| failed(fault.to_string()))?;
+        .map_err(|error| failed(error.to_string()))?;
     if !status.success() {
         return Err(failed(format!("it ended with {status}")));
     }
     let table = out.join("sizes.tsv");
-    let text = fs::read_to_string(&table).map_err(|fault| CliError::unreadable(&table, &fault))?;
-    rows(&text, &out).map_err(|fault| failed(format!("sizes.tsv: {fault}")))
+    let text = fs::read_to_string(&table).map_err(|error| CliError::unreadable(&table, &error))?;
+    rows(&text, &out).map_err(|error| failed(format!("sizes.tsv: {error}")))
 }
 
 fn rows(text: &str, folder: &Path) -> Result<Vec<Converted>, String> {
@@ -124,13 +124,13 @@ mod tests {
 
     #[test]
     fn a_table_that_is_not_one_is_named() {
-        for (text, fault) in [
+        for (text, error) in [
             ("", "no column 'format'"),
             ("format\tbytes\n", "no column 'decoded'"),
             ("format\tbytes\tdecoded\nsog\tmany\ta.ply\n", "'many'"),
             ("format\tbytes\tdecoded\nsog\t7\n", "cut off"),
         ] {
-            assert!(rows(text, Path::new("")).expect_err(text).contains(fault), "{text}");
+            assert!(rows(text, Path::new("")).expect_err(text).contains(error), "{text}");
         }
     }
 }

@@ -21,7 +21,7 @@ use tcgs::{
 };
 
 use tcgs_lab::report::{
-    content::Content,
+    content::ReportContent,
     csv, markdown,
     matrix::Matrix,
     page, plots, published,
@@ -81,8 +81,8 @@ pub(crate) struct Args {
 /// Makes the runs that are missing and writes the report.
 pub(crate) fn run(args: &Args) -> Result<Report, CliError> {
     let text =
-        fs::read_to_string(&args.matrix).map_err(|fault| CliError::unreadable(&args.matrix, &fault))?;
-    let in_matrix = |fault: String| CliError::Usage(format!("{}: {fault}", args.matrix.display()));
+        fs::read_to_string(&args.matrix).map_err(|error| CliError::unreadable(&args.matrix, &error))?;
+    let in_matrix = |error: String| CliError::Usage(format!("{}: {error}", args.matrix.display()));
     let matrix = Matrix::parse(&text).map_err(in_matrix)?;
     published::check(&matrix.published).map_err(in_matrix)?;
     let named = matrix.named_sets();
@@ -168,7 +168,7 @@ impl Document<'_> {
         let sets: Vec<&str> = sets.into_iter().collect();
         let plots = plots::all(&groups, &sets, self.sweeps);
         let curves = Curve::all(&groups);
-        let content = Content {
+        let content = ReportContent {
             records,
             groups: &groups,
             plots: &plots,
@@ -202,8 +202,8 @@ impl Document<'_> {
 
 /// The document with the tables in their place.
 fn place(document: &Path, tables: &str) -> Result<String, CliError> {
-    let text = fs::read_to_string(document).map_err(|fault| CliError::unreadable(document, &fault))?;
-    markdown::rewrite(&text, tables).map_err(|fault| {
-        Problem::new(ProblemType::NoPlace, fault).in_file(document.display().to_string()).into()
+    let text = fs::read_to_string(document).map_err(|error| CliError::unreadable(document, &error))?;
+    markdown::rewrite(&text, tables).map_err(|error| {
+        Problem::new(ProblemType::NoPlace, error).in_file(document.display().to_string()).into()
     })
 }

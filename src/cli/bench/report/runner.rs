@@ -10,7 +10,7 @@ use tcgs::{
     domain::{Dataset, Digest, ModelKind, Phase, Problem, Progress, SceneFormat, Split, TrainOptions},
     export::world::Origin,
     gpu::AdapterChoice,
-    pipeline::{Checkpoints, JobError, JobOutput, Pipeline, ReferenceViews, RunJob as _},
+    pipeline::{CheckpointPlan, JobError, JobOutput, Pipeline, ReferenceViews, RunJob as _},
     train::Schedule,
 };
 
@@ -159,7 +159,7 @@ impl Runner {
         let outcome = pipeline.run(
             &set.path,
             &run.options,
-            &Checkpoints::default(),
+            &CheckpointPlan::default(),
             &mut show,
             &self.interruption.cancel,
         );

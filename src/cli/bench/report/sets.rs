@@ -17,10 +17,10 @@ pub(super) fn find(
     named: &[&str],
     asked: &[&str],
 ) -> Result<Vec<(String, PathBuf)>, CliError> {
-    let entries = fs::read_dir(folder).map_err(|fault| CliError::unreadable(folder, &fault))?;
+    let entries = fs::read_dir(folder).map_err(|error| CliError::unreadable(folder, &error))?;
     let mut sets = BTreeMap::new();
     for entry in entries {
-        let path = entry.map_err(|fault| CliError::unreadable(folder, &fault))?.path();
+        let path = entry.map_err(|error| CliError::unreadable(folder, &error))?.path();
         let is_zip = path.extension().is_some_and(|extension| extension == "zip");
         if let Some(name) = path.file_stem().and_then(|name| name.to_str())
             && (path.is_dir() || is_zip)

@@ -59,6 +59,6 @@ pub(super) fn kept(sweep: &RenderSweep, records: &JsonLines<SweepRecord>) -> Vec
     records.all().iter().filter(is_of_it).cloned().collect()
 }
 
-fn problem(fault: RenderError) -> CliError {
-    Problem::new(ProblemType::Internal, fault.to_string()).into()
+fn problem(error: RenderError) -> CliError {
+    Problem::new(ProblemType::Internal, error.to_string()).into()
 }

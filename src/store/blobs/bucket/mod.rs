@@ -58,7 +58,7 @@ pub(super) struct Bucket {
 }
 
 /// Content to be put.
-enum Content<'a> {
+enum BlobContent<'a> {
     Staged(&'a StagedBlob),
     Memory(&'a Bytes),
 }
@@ -110,11 +110,11 @@ impl Bucket {
     }
 
     pub(super) async fn publish(&self, staged: &StagedBlob) -> Result<Published, BlobError> {
-        self.publish_content(staged.blob(), Content::Staged(staged)).await
+        self.publish_content(staged.blob(), BlobContent::Staged(staged)).await
     }
 
     pub(super) async fn put(&self, blob: BlobRef, content: &Bytes) -> Result<Published, BlobError> {
-        self.publish_content(blob, Content::Memory(content)).await
+        self.publish_content(blob, BlobContent::Memory(content)).await
     }
 
     /// Publishes a blob again that is there; `None` if it is not.
@@ -130,7 +130,7 @@ impl Bucket {
         }
     }
 
-    async fn publish_content(&self, blob: BlobRef, content: Content<'_>) -> Result<Published, BlobError> {
+    async fn publish_content(&self, blob: BlobRef, content: BlobContent<'_>) -> Result<Published, BlobError> {
         loop {
             let mut announced = self.announce(blob).await?;
             reach(FailurePoint::BlobAnnounced);
@@ -174,17 +174,17 @@ impl Bucket {
     async fn put_content(
         &self,
         blob: BlobRef,
-        content: &Content<'_>,
+        content: &BlobContent<'_>,
         announced: &mut Announcement,
     ) -> Result<(), BlobError> {
         let is_small = blob.bytes <= PART_BYTES as u64;
         match content {
-            Content::Memory(content) if is_small => self.put_small(blob, (*content).clone()).await,
-            Content::Memory(content) => self.put_parts(blob, &content[..], announced).await,
-            Content::Staged(staged) if is_small => {
+            BlobContent::Memory(content) if is_small => self.put_small(blob, (*content).clone()).await,
+            BlobContent::Memory(content) => self.put_parts(blob, &content[..], announced).await,
+            BlobContent::Staged(staged) if is_small => {
                 self.put_small(blob, tokio::fs::read(staged.path()).await?.into()).await
             }
-            Content::Staged(staged) => {
+            BlobContent::Staged(staged) => {
                 self.put_parts(blob, File::open(staged.path()).await?, announced).await
             }
         }

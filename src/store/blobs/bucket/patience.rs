@@ -23,7 +23,7 @@ use tokio::time::{Sleep, sleep, timeout};
 
 /// The limits.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Patience {
+pub(super) struct RequestTimeouts {
     /// The longest pause in an answer, and before it once the request is sent.
     pub(super) silence: Duration,
     /// The slowest connection on which a request is sent to its end, in bytes a second.
@@ -32,13 +32,13 @@ pub(super) struct Patience {
     pub(super) assembly: Duration,
 }
 
-impl Default for Patience {
+impl Default for RequestTimeouts {
     fn default() -> Self {
         Self { silence: Duration::from_secs(20), slowest: 32 << 10, assembly: Duration::from_secs(300) }
     }
 }
 
-impl Patience {
+impl RequestTimeouts {
     /// The longest time from the start of a request to the head of its answer.
     fn until_answer(&self, request: &HttpRequest) -> Duration {
         let sending = Duration::from_secs(request.body().content_length() as u64 / self.slowest.max(1));
@@ -50,7 +50,7 @@ impl Patience {
 
 /// Connects clients that keep the limits.
 #[derive(Debug)]
-pub(super) struct PatientConnector(pub(super) Patience);
+pub(super) struct PatientConnector(pub(super) RequestTimeouts);
 
 impl HttpConnector for PatientConnector {
     fn connect(&self, options: &ClientOptions) -> object_store::Result<HttpClient> {
@@ -62,7 +62,7 @@ impl HttpConnector for PatientConnector {
 #[derive(Debug)]
 struct PatientClient {
     client: HttpClient,
-    patience: Patience,
+    patience: RequestTimeouts,
 }
 
 impl HttpService for PatientClient {
@@ -128,8 +128,11 @@ mod tests {
 
     use super::*;
 
-    const PATIENCE: Patience =
-        Patience { silence: Duration::from_millis(40), slowest: 1, assembly: Duration::from_secs(3600) };
+    const PATIENCE: RequestTimeouts = RequestTimeouts {
+        silence: Duration::from_millis(40),
+        slowest: 1,
+        assembly: Duration::from_secs(3600),
+    };
 
     /// A server that answers once it has taken a request's bytes, at a millisecond each, and then sends pieces with a pause before each.
     #[derive(Debug)]
@@ -204,7 +207,7 @@ mod tests {
         assert_eq!(error.kind(), HttpErrorKind::Timeout);
         let never = PatientClient {
             client: HttpClient::new(SlowServer { pieces: 0, pause: Duration::ZERO }),
-            patience: Patience { slowest: 1 << 20, ..PATIENCE },
+            patience: RequestTimeouts { slowest: 1 << 20, ..PATIENCE },
         };
         let error = never.call(request(1 << 19)).await.expect_err("too slow");
         assert_eq!(error.kind(), HttpErrorKind::Timeout);
@@ -212,7 +215,7 @@ mod tests {
 
     #[test]
     fn time_to_send_grows_with_the_bytes_and_parts_are_put_together_for_minutes() {
-        let patience = Patience::default();
+        let patience = RequestTimeouts::default();
         let part = patience.until_answer(&request(8 << 20));
         assert!(part > Duration::from_secs(8 * 32), "8 MiB at a quarter of a megabit a second: {part:?}");
         assert_eq!(patience.until_answer(&request(0)), patience.silence);

@@ -13,7 +13,7 @@ use thiserror::Error;
 
 use super::{
     BlobError,
-    patience::{Patience, PatientConnector},
+    patience::{PatientConnector, RequestTimeouts},
 };
 
 /// How long a connection may take.
@@ -40,17 +40,18 @@ impl FromStr for BucketUrl {
     type Err = InvalidBucketUrl;
 
     fn from_str(text: &str) -> Result<Self, Self::Err> {
-        let fault = |fault: &str| InvalidBucketUrl(fault.to_owned());
-        let rest = text.strip_prefix("s3://").ok_or_else(|| fault("it does not begin with s3://"))?;
+        let invalid = |reason: &str| InvalidBucketUrl(reason.to_owned());
+        let rest = text.strip_prefix("s3://").ok_or_else(|| invalid("it does not begin with s3://"))?;
         let (bucket, prefix) = rest.split_once('/').unwrap_or((rest, ""));
         if bucket.contains('@') || text.contains(['?', '#']) {
-            return Err(fault("keys and options are given in AWS_ variables, not here"));
+            return Err(invalid("keys and options are given in AWS_ variables, not here"));
         }
         let is_name = |c: char| c.is_ascii_lowercase() || c.is_ascii_digit() || matches!(c, '.' | '-' | '_');
         if !(3..=63).contains(&bucket.len()) || !bucket.chars().all(is_name) {
-            return Err(fault("a bucket's name has 3 to 63 of a-z, 0-9, '.', '-' and '_'"));
+            return Err(invalid("a bucket's name has 3 to 63 of a-z, 0-9, '.', '-' and '_'"));
         }
-        let prefix = Path::parse(prefix.trim_end_matches('/')).map_err(|error| fault(&error.to_string()))?;
+        let prefix =
+            Path::parse(prefix.trim_end_matches('/')).map_err(|error| invalid(&error.to_string()))?;
         Ok(Self { bucket: bucket.to_owned(), prefix })
     }
 }
@@ -100,7 +101,7 @@ impl BucketUrl {
         let bucket = builder
             .with_bucket_name(&self.bucket)
             .with_client_options(client)
-            .with_http_connector(PatientConnector(Patience::default()))
+            .with_http_connector(PatientConnector(RequestTimeouts::default()))
             .with_retry(retry)
             .build()
             .map_err(BlobError::Bucket)?;
@@ -122,7 +123,7 @@ mod tests {
             assert_eq!(text.parse::<BucketUrl>().expect("an address").to_string(), text);
         }
         assert_eq!("s3://scenes/a/".parse::<BucketUrl>().expect("an address").to_string(), "s3://scenes/a");
-        for (text, fault) in [
+        for (text, reason) in [
             ("scenes", "does not begin with s3://"),
             ("https://scenes.s3.amazonaws.com", "does not begin with s3://"),
             ("s3://", "3 to 63"),
@@ -132,7 +133,7 @@ mod tests {
             ("s3://scenes/a//b", "empty"),
         ] {
             let error = text.parse::<BucketUrl>().expect_err(text).to_string();
-            assert!(error.contains(fault), "{text}: {error}");
+            assert!(error.contains(reason), "{text}: {error}");
             assert!(!error.contains("secret"));
         }
     }

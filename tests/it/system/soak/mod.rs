@@ -99,7 +99,7 @@ impl Soak {
         for client in clients {
             // A client's own fault names itself; the service's log says why.
             followed
-                .extend(client.await.unwrap_or_else(|fault| panic!("{after}: {fault}\n{}", killer.log())));
+                .extend(client.await.unwrap_or_else(|error| panic!("{after}: {error}\n{}", killer.log())));
         }
         deployment.checkpoints_are_gone().await;
         let log = killer.stop().await;

@@ -4,7 +4,7 @@ use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 use tcgs::{
     domain::Mlp,
-    model::{NetworkLayout, Shape},
+    model::{ModelShape, NetworkLayout},
     train::{context::RoundedNetworks, twin::round_rows},
 };
 
@@ -37,7 +37,7 @@ fn parameters(layout: &NetworkLayout, seed: u64) -> Vec<f32> {
 #[test]
 fn the_kernel_rounds_every_bit_as_the_twin_does() {
     let device = gpu();
-    for shape in [Shape::new(8, 3), Shape::new(32, 10)] {
+    for shape in [ModelShape::new(8, 3), ModelShape::new(32, 10)] {
         let layout = NetworkLayout::new(shape);
         for seed in 0..4 {
             let values = parameters(&layout, seed);

@@ -5,7 +5,7 @@ use rand_pcg::Pcg64;
 use tcgs::{
     domain::Lattice,
     gpu::{Buffer, Device},
-    model::{AnchorRows, Shape, all_offsets},
+    model::{AnchorRows, ModelShape, all_offsets},
     render::DeviceAnchors,
     train::context::{
         AnchorSample, Quantization, QuantizationPhase, QuantizedRows, RateInputs, RateTerm, SampleOutputs,
@@ -13,10 +13,10 @@ use tcgs::{
 };
 
 /// Sizes that leave every tile of the kernels partly filled.
-pub(super) const SMALL: Shape = Shape::new(8, 3);
+pub(super) const SMALL: ModelShape = ModelShape::new(8, 3);
 
 /// The sizes that are trained.
-pub(super) const USUAL: Shape = Shape::new(32, 10);
+pub(super) const USUAL: ModelShape = ModelShape::new(32, 10);
 
 /// Unlike each other, and none a power of two.
 pub(super) const BASE_STEPS: [f32; 3] = [0.7, 0.013, 0.21];
@@ -32,7 +32,7 @@ pub(super) fn f64s(values: &[f32]) -> Vec<f64> {
 }
 
 /// First column of each group in a row, and the end of the last.
-pub(super) fn columns(shape: Shape) -> [usize; 4] {
+pub(super) fn columns(shape: ModelShape) -> [usize; 4] {
     [0, shape.scaling_column(), shape.offset_column(), shape.row()]
 }
 
@@ -47,7 +47,7 @@ pub(super) struct Case {
 }
 
 impl Case {
-    pub(super) fn random(seed: u64, shape: Shape, count: usize, sampled: usize) -> Self {
+    pub(super) fn random(seed: u64, shape: ModelShape, count: usize, sampled: usize) -> Self {
         let mut rng = Pcg64::seed_from_u64(seed);
         let mut case = Self {
             anchors: AnchorRows {
@@ -120,7 +120,7 @@ impl Case {
         case
     }
 
-    pub(super) fn shape(&self) -> Shape {
+    pub(super) fn shape(&self) -> ModelShape {
         self.anchors.shape
     }
 

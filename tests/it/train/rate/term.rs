@@ -2,7 +2,7 @@
 
 use tcgs::{
     domain::AttributeGroup,
-    model::Shape,
+    model::ModelShape,
     train::{
         context::QuantizationPhase,
         twin::{
@@ -23,7 +23,7 @@ const PHASES: [QuantizationPhase; 2] = [QuantizationPhase::Noise, QuantizationPh
 const BOUND: f64 = 1e-4;
 
 /// The twin on a group of one anchor.
-fn on_twin(phase: QuantizationPhase, shape: Shape, input: RateInput<'_>) -> RateGradients {
+fn on_twin(phase: QuantizationPhase, shape: ModelShape, input: RateInput<'_>) -> RateGradients {
     let columns = columns(shape);
     let (first, end) = (columns[input.group as usize], columns[input.group as usize + 1]);
     rate(&quantization(phase), &RateInput { first, row: &input.row[first..end], ..input })
@@ -218,7 +218,7 @@ fn rounded_bits_are_those_of_the_decoders_numbers() {
     }
 }
 
-fn check_against_twin(shape: Shape, count: usize, sampled: usize, phase: QuantizationPhase) {
+fn check_against_twin(shape: ModelShape, count: usize, sampled: usize, phase: QuantizationPhase) {
     let device = gpu();
     let case = Case::random((count + sampled) as u64, shape, count, sampled);
     let d_rendered = random_gradients(31, count * shape.row());
@@ -309,7 +309,7 @@ fn the_kernel_matches_the_twin() {
             check_against_twin(SMALL, count, sampled, phase);
         }
         check_against_twin(USUAL, 80, 33, phase);
-        check_against_twin(Shape::new(50, 10), 20, 20, phase);
+        check_against_twin(ModelShape::new(50, 10), 20, 20, phase);
     }
 }
 

@@ -19,7 +19,7 @@ pub use error::LpipsError;
 
 use layout::{LAYERS, StageLayout};
 use rows::Rows;
-use stage::Stage;
+use stage::LpipsStage;
 
 use crate::domain::{Image, LpipsNetwork};
 
@@ -31,7 +31,7 @@ pub struct Lpips {
     shift: [f32; 3],
     /// What inputs are then divided by.
     scale: [f32; 3],
-    stages: Vec<Stage>,
+    stages: Vec<LpipsStage>,
 }
 
 impl Lpips {

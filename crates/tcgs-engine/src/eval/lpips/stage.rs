@@ -20,7 +20,7 @@ const EPSILON: f64 = 1e-10;
 
 /// The way from one compared layer to the next, with weights.
 #[derive(Debug)]
-pub(super) struct Stage {
+pub(super) struct LpipsStage {
     pub(super) convolutions: Vec<Convolution>,
     /// Weight of each channel's squared difference.
     pub(super) head: Vec<f32>,
@@ -35,7 +35,7 @@ struct Strip {
     pooled: [Vec<f32>; 2],
 }
 
-impl Stage {
+impl LpipsStage {
     /// The mean distance over the positions of this stage's layer, and both maps for the next stage.
     pub(super) fn compare(&self, inputs: &[Rows; 2]) -> (f64, [Rows; 2]) {
         let [height, width] = [inputs[0].height, inputs[0].width].map(|side| {

@@ -7,7 +7,7 @@ use super::{
     Lpips, LpipsError,
     layout::{self, ConvolutionLayout, SCALE, SHIFT},
     rows::Convolution,
-    stage::Stage,
+    stage::LpipsStage,
 };
 use crate::domain::LpipsNetwork;
 
@@ -26,7 +26,7 @@ pub(super) fn read(bytes: &[u8]) -> Result<Lpips, LpipsError> {
                 .map(|convolution| file.convolution(index, convolution))
                 .collect::<Result<_, _>>()?;
             let channels = convolutions.last().map_or(0, |convolution| convolution.bias.len());
-            Ok(Stage {
+            Ok(LpipsStage {
                 head: file.values(&head_names(index), &[1, channels, 1, 1])?,
                 convolutions,
                 pool: stage.pool,
@@ -91,7 +91,7 @@ impl File<'_> {
         match self.values(&[name.to_owned()], &[1, 3, 1, 1]) {
             Ok(values) => Ok(values.try_into().unwrap_or(otherwise)),
             Err(LpipsError::Missing { .. }) => Ok(otherwise),
-            Err(fault) => Err(fault),
+            Err(error) => Err(error),
         }
     }
 

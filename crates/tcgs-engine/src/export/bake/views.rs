@@ -2,7 +2,7 @@
 
 use glam::DVec3;
 
-use crate::domain::{Camera, CameraError, Intrinsics, Pose, spread::spread};
+use crate::domain::{Camera, CameraError, Intrinsics, Pose, evenly_spaced::evenly_spaced};
 
 /// Share of the positions that the sphere's radius is measured by; the rest is background and strays.
 const BODY: f64 = 0.9;
@@ -46,7 +46,7 @@ pub fn sphere(positions: &[[f32; 3]], count: usize, side: u32) -> Result<Vec<Cam
 /// At most 128 of the cameras, evenly along their order.
 #[must_use]
 pub fn thinned(cameras: &[Camera]) -> Vec<Camera> {
-    spread(cameras, MAX_VIEWS).copied().collect()
+    evenly_spaced(cameras, MAX_VIEWS).copied().collect()
 }
 
 fn quantile(mut values: Vec<f64>, share: f64) -> f64 {

@@ -7,7 +7,7 @@ use crate::{
     domain::Lattice,
     gpu::Device,
     init::MAX_CELL,
-    model::{AnchorRows, NetworkLayout, Shape},
+    model::{AnchorRows, ModelShape, NetworkLayout},
     train::{
         CheckpointError, MaskRows, Result, Schedule, Statistics, checkpoint::ModelState,
         compression::Compression, densify::TrainableAnchors,
@@ -22,14 +22,14 @@ fn lattice_values(values: &[f32]) -> Result<[f32; 4], CheckpointError> {
 }
 
 /// The shape of a state: the schedule's, or a narrower one.
-fn shape_of(state: &mut ModelState, of_schedule: Shape) -> Result<Shape, CheckpointError> {
+fn shape_of(state: &mut ModelState, of_schedule: ModelShape) -> Result<ModelShape, CheckpointError> {
     if !state.has("shape") {
         return Ok(of_schedule);
     }
     let widths = state.take_exactly::<u32>("shape", 3)?;
     let shape =
-        Shape { features: widths[0] as usize, hidden: widths[1] as usize, offsets: widths[2] as usize };
-    let Shape { features, hidden, offsets } = of_schedule;
+        ModelShape { features: widths[0] as usize, hidden: widths[1] as usize, offsets: widths[2] as usize };
+    let ModelShape { features, hidden, offsets } = of_schedule;
     // Larger widths would allocate more than the memory estimate.
     if shape.check().is_err() || shape.features > features || shape.hidden > hidden || shape.offsets > offsets
     {
@@ -55,8 +55,8 @@ impl AnchorTrainer {
             || flat.len() != 3 * anchors
             || flat.iter().any(|c| c.unsigned_abs() > MAX_CELL as u32)
         {
-            let fault = format!("has {} values, or some outside the lattice", flat.len());
-            return Err(CheckpointError::array("anchors.cells", fault).into());
+            let error = format!("has {} values, or some outside the lattice", flat.len());
+            return Err(CheckpointError::array("anchors.cells", error).into());
         }
         let rows = anchors * shape.row();
         let offsets = anchors * shape.offsets;
@@ -108,7 +108,7 @@ impl AnchorTrainer {
         let mut state = ModelState::default();
         state.put("lattice", vec![voxel, x, y, z]);
         if self.shape != self.schedule.shape {
-            let Shape { features, hidden, offsets } = self.shape;
+            let ModelShape { features, hidden, offsets } = self.shape;
             state.put("shape", [features, hidden, offsets].map(|width| width as u32).to_vec());
         }
         state.put("anchors.cells", anchors.cells.into_flattened());

@@ -22,7 +22,7 @@ use crate::{
     domain::{AnchorScene, Camera, Lattice, NearPlane, Scene, SceneScale},
     gpu::{Buffer, Device, Recorder},
     init::{FirstAnchors, VoxelRule, anchors_from_points, cell_within, initial_rows},
-    model::{AnchorRows, NetworkLayout, Shape},
+    model::{AnchorRows, ModelShape, NetworkLayout},
     render::{AnchorGradients, DeviceAnchors, GaussianGradients, Gaussians, NeuralGaussians},
 };
 
@@ -35,7 +35,7 @@ const OTHER_BYTES: f64 = 600.0;
 pub(super) struct AnchorTrainer {
     device: Arc<Device>,
     schedule: Schedule,
-    shape: Shape,
+    shape: ModelShape,
     extent: f32,
     layout: NetworkLayout,
     owners: Vec<u8>,

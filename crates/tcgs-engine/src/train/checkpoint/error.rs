@@ -17,12 +17,12 @@ pub enum CheckpointError {
     #[error("{} does not exist; there is no checkpoint to resume from", .0.display())]
     Missing(PathBuf),
     /// A file system error.
-    #[error("{}: {fault}", path.display())]
+    #[error("{}: {error}", path.display())]
     Io {
         /// The file or folder.
         path: PathBuf,
         /// The system's error.
-        fault: io::Error,
+        error: io::Error,
     },
     /// The file is truncated or not a checkpoint.
     #[error("not a complete checkpoint: {0}")]
@@ -55,12 +55,12 @@ pub enum CheckpointError {
         expected: Digest,
     },
     /// An array does not match the model.
-    #[error("the checkpoint's array '{name}' {fault}")]
+    #[error("the checkpoint's array '{name}' {error}")]
     Array {
         /// Its name.
         name: String,
         /// The error.
-        fault: String,
+        error: String,
     },
     /// A value of the run is invalid.
     #[error("the checkpoint's {0}")]
@@ -69,18 +69,18 @@ pub enum CheckpointError {
 
 impl CheckpointError {
     /// An error in the array `name`.
-    pub(in crate::train) fn array(name: &str, fault: impl Into<String>) -> Self {
-        Self::Array { name: name.to_owned(), fault: fault.into() }
+    pub(in crate::train) fn array(name: &str, error: impl Into<String>) -> Self {
+        Self::Array { name: name.to_owned(), error: error.into() }
     }
 
     /// A file system error at `path`.
-    pub(super) fn io(path: &Path, fault: io::Error) -> Self {
-        Self::Io { path: path.to_owned(), fault }
+    pub(super) fn io(path: &Path, error: io::Error) -> Self {
+        Self::Io { path: path.to_owned(), error }
     }
 }
 
 impl From<CheckpointError> for Problem {
-    fn from(fault: CheckpointError) -> Self {
-        Problem::new(ProblemType::CheckpointRefused, fault.to_string())
+    fn from(error: CheckpointError) -> Self {
+        Problem::new(ProblemType::CheckpointRefused, error.to_string())
     }
 }

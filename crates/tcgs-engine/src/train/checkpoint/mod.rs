@@ -191,8 +191,8 @@ mod tests {
         assert_eq!(moved.max_size, 500);
         let mut old = checkpoint();
         old.run.generator = "tcgs 0.0.1".to_owned();
-        let fault = old.open(identity(&options), 30, 4).expect_err("another program").to_string();
-        assert!(fault.contains("tcgs 0.0.1"), "{fault}");
+        let error = old.open(identity(&options), 30, 4).expect_err("another program").to_string();
+        assert!(error.contains("tcgs 0.0.1"), "{error}");
     }
 
     #[test]
@@ -232,7 +232,7 @@ mod tests {
         let place = bytes.windows(key.len()).position(|window| window == key);
         let at = place.expect("the version") + key.len();
         bytes[at] = b'9';
-        let fault = Checkpoint::from_bytes(&bytes).expect_err("refused");
-        assert!(matches!(&fault, CheckpointError::Version(version) if version == "9"), "{fault}");
+        let error = Checkpoint::from_bytes(&bytes).expect_err("refused");
+        assert!(matches!(&error, CheckpointError::Version(version) if version == "9"), "{error}");
     }
 }

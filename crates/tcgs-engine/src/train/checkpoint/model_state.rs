@@ -107,7 +107,7 @@ mod tests {
         state.put("b", vec![7_u32]);
         state.put("c", vec![-1_i32]);
         assert_eq!(state.take_exactly::<f32>("a", 2).expect("as it was put"), [1.5, -0.0]);
-        let text = |fault: Result<Vec<u32>, CheckpointError>| fault.expect_err("a fault").to_string();
+        let text = |error: Result<Vec<u32>, CheckpointError>| error.expect_err("a fault").to_string();
         assert_eq!(text(state.take("a")), "the checkpoint's array 'a' is missing");
         assert!(text(state.take("c")).contains("'c' is of another type"));
         assert!(text(state.take_exactly("b", 2)).contains("'b' has 1 values where 2 are needed"));

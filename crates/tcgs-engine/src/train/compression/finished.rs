@@ -9,7 +9,7 @@ use super::{Compression, context_fit::stored_contexts};
 use crate::{
     domain::{AnchorScene, CancelFlag, ContextCandidates, ContextKind, TrainOptions},
     gpu::Device,
-    model::{AnchorRows, NetworkLayout, Shape},
+    model::{AnchorRows, ModelShape, NetworkLayout},
     render::DeviceAnchors,
     train::{
         Adam, BaseQuantSteps, CompressionSchedule, Result, Schedule,
@@ -47,7 +47,7 @@ pub fn fit_contexts(
     // The run's own model is not fitted, so it need not find neighbors.
     let schedule = CompressionSchedule { kind: ContextKind::Position, ..schedule };
     let rows = AnchorRows::from_scene(scene);
-    let networks = NetworkLayout::new(Shape::of(scene))
+    let networks = NetworkLayout::new(ModelShape::of(scene))
         .from_networks(&scene.networks)
         .map_err(crate::render::RenderError::Scene)?;
     let anchors = DeviceAnchors::upload(device, &rows, &networks)?;

@@ -35,11 +35,11 @@ use crate::{
     codec::context::robust_frame,
     domain::{CancelFlag, ContextFrame, ContextKind},
     gpu::{Buffer, Device, Recorder, buffer_bytes},
-    model::{AnchorRows, NetworkLayout, Shape},
+    model::{AnchorRows, ModelShape, NetworkLayout},
     render::DeviceAnchors,
     train::{
-        Adam, AdamStep, BaseQuantSteps, CompressionSchedule, OffsetMasks, Result, SizeLimit, Stage,
-        TrainedContext,
+        Adam, AdamStep, BaseQuantSteps, CompressionSchedule, CompressionStage, OffsetMasks, Result,
+        SizeLimit, TrainedContext,
         context::{
             ContextAnchors, ContextConfig, ContextLayout, ContextLearningRates, ContextNet, ContextPass,
             ContextState, GroupStatistics, PlaneSource, Quantization, QuantizationPhase, QuantizedRows,
@@ -63,12 +63,12 @@ pub(in crate::train) struct Compression {
 }
 
 /// Channels of the three attribute groups.
-fn group_channels(shape: Shape) -> [usize; 3] {
+fn group_channels(shape: ModelShape) -> [usize; 3] {
     [shape.features, shape.offset_column() - shape.scaling_column(), 3 * shape.offsets]
 }
 
 /// The context model's sizes for a scene of so many anchors.
-fn config(schedule: &CompressionSchedule, shape: Shape, anchors: usize) -> ContextConfig {
+fn config(schedule: &CompressionSchedule, shape: ModelShape, anchors: usize) -> ContextConfig {
     let mut config = ContextConfig::for_anchors(schedule.kind, group_channels(shape), anchors);
     if !schedule.compresses_planes {
         config.planes = config.planes.without_layers();
@@ -78,7 +78,11 @@ fn config(schedule: &CompressionSchedule, shape: Shape, anchors: usize) -> Conte
 
 impl Compression {
     /// The state before the first step.
-    pub(in crate::train) fn new(device: &Arc<Device>, schedule: CompressionSchedule, shape: Shape) -> Self {
+    pub(in crate::train) fn new(
+        device: &Arc<Device>,
+        schedule: CompressionSchedule,
+        shape: ModelShape,
+    ) -> Self {
         let layout = NetworkLayout::new(shape);
         Self {
             device: Arc::clone(device),
@@ -102,7 +106,7 @@ impl Compression {
 
     /// Whether everything is rounded from the step after `step` on.
     pub(in crate::train) fn starts_rounding_after(&self, step: u32) -> bool {
-        self.changes_stage_after(step) && self.schedule.stage(step + 1) == Stage::Rounded
+        self.changes_stage_after(step) && self.schedule.stage(step + 1) == CompressionStage::Rounded
     }
 
     /// From now on the bits of features are estimated as this share of those that they take.
@@ -153,8 +157,8 @@ impl Compression {
         cancel: &CancelFlag,
     ) -> Result<()> {
         let next = self.schedule.stage(step + 1);
-        if next >= Stage::Noise && self.quant.is_none()
-            || next >= Stage::Context && self.context_model.is_none()
+        if next >= CompressionStage::Noise && self.quant.is_none()
+            || next >= CompressionStage::Context && self.context_model.is_none()
         {
             let base_quant_steps = BaseQuantSteps::of(self.schedule.base, anchors);
             let base = base_quant_steps.in_world(anchors.lattice.voxel);
@@ -162,10 +166,10 @@ impl Compression {
             self.quantize(base_quant_steps, base, &first.repeat(anchors.len()))?;
             tracing::debug!(step, ?base_quant_steps);
         }
-        if next >= Stage::Context && self.context_model.is_none() {
+        if next >= CompressionStage::Context && self.context_model.is_none() {
             self.model(anchors)?;
         }
-        if next == Stage::Rounded {
+        if next == CompressionStage::Rounded {
             self.select_context(adam, device_anchors, anchors, limit, cancel)?;
         }
         Ok(())
@@ -183,7 +187,7 @@ impl Compression {
     ) -> Result<Option<TrainedContext>> {
         self.replace(before, anchors)?;
         let device_anchors = DeviceAnchors::upload(&self.device, anchors, networks)?;
-        if self.schedule.stage(self.schedule.steps) != Stage::Rounded {
+        if self.schedule.stage(self.schedule.steps) != CompressionStage::Rounded {
             self.select_context(adam, &device_anchors, anchors, None, cancel)?;
         }
         let Some((rows, steps)) = self.final_rows(&device_anchors, &anchors.cells)? else { return Ok(None) };
@@ -266,10 +270,10 @@ impl Compression {
     /// The quantization of `step`; none before the first noise.
     fn quantization(&self, step: u32) -> Option<Quantization> {
         let phase = match self.schedule.stage(step) {
-            Stage::Plain => return None,
-            Stage::Noise => QuantizationPhase::FixedNoise,
-            Stage::Context => QuantizationPhase::Noise,
-            Stage::Rounded => QuantizationPhase::Rounded,
+            CompressionStage::Plain => return None,
+            CompressionStage::Noise => QuantizationPhase::FixedNoise,
+            CompressionStage::Context => QuantizationPhase::Noise,
+            CompressionStage::Rounded => QuantizationPhase::Rounded,
         };
         let mut base_quant_steps = self.quant.as_ref()?.base;
         if phase == QuantizationPhase::FixedNoise {
@@ -291,7 +295,7 @@ impl Compression {
         };
         quant.rows.record_forward(recorder, anchors, &quantization)?;
         let mut shown = quant.rows.rendered(anchors);
-        if self.schedule.stage(step) == Stage::Rounded {
+        if self.schedule.stage(step) == CompressionStage::Rounded {
             quant.networks.record(recorder, &anchors.networks)?;
             shown.networks = quant.networks.parameters().clone();
         }
@@ -301,7 +305,7 @@ impl Compression {
     /// The context model's pass in `step`.
     fn pass(&self, step: u32) -> ContextPass {
         let schedule = &self.schedule;
-        if schedule.stage(step) == Stage::Rounded {
+        if schedule.stage(step) == CompressionStage::Rounded {
             return stored_pass(true);
         }
         let source = if schedule.compresses_planes && step >= schedule.reconstruct_from {
@@ -355,7 +359,7 @@ impl Compression {
             latents: planes,
         };
         // The last stage starts with zero moments.
-        let rounded = schedule.stage(step.number) == Stage::Rounded;
+        let rounded = schedule.stage(step.number) == CompressionStage::Rounded;
         let number = step.number + 1 - if rounded { schedule.rounded_from } else { schedule.context_from };
         model.net.step(recorder, adam, AdamStep { number, overflow_flag }, &rates, &model.statistics)
     }
@@ -394,7 +398,7 @@ impl Compression {
         let [features, scalings, offsets] = RateTerm::sums_of(bits);
         let bits = features * self.feature_share.unwrap_or(1.0) + scalings + offsets;
         let config = context_model.net.layout().config;
-        let selected = self.schedule.stage(step) >= Stage::Rounded;
+        let selected = self.schedule.stage(step) >= CompressionStage::Rounded;
         let kind = if selected { config.kind } else { ContextKind::Position };
         let stored = stored_parameters(&ContextLayout::new(ContextConfig { kind, ..config })?);
         Ok(Some((bits / context_model.sampled as f64, BYTES_PER_PARAMETER * stored as f64)))
@@ -405,7 +409,7 @@ impl Compression {
 /// trained one, and rows and gradients of their own.
 pub(in crate::train) fn compression_bytes(
     schedule: &CompressionSchedule,
-    shape: Shape,
+    shape: ModelShape,
     anchors: usize,
 ) -> u64 {
     let sampled = sample_size(anchors, schedule.sample_share);

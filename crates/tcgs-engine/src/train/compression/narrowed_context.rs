@@ -65,7 +65,7 @@ mod tests {
     use super::*;
     use crate::{
         domain::ContextKind,
-        model::Shape,
+        model::ModelShape,
         train::{
             context::{ContextConfig, GroupStatistics, PlaneConfig},
             feature_basis::FeatureBasis,
@@ -98,7 +98,7 @@ mod tests {
             back: vec![0.0; 6],
             bits_share: 1.0,
         };
-        let narrowing = Narrowing { from: Shape::new(3, 3), basis, slots: vec![0, 2] };
+        let narrowing = Narrowing { from: ModelShape::new(3, 3), basis, slots: vec![0, 2] };
         for kind in [ContextKind::Position, ContextKind::TriPlaneKnn] {
             let old = ContextLayout::new(config(kind, [3, 6, 9])).expect("known sizes");
             let new = ContextLayout::new(config(kind, [2, 6, 6])).expect("known sizes");

@@ -86,7 +86,7 @@ impl Attempt<'_> {
             provenance: Provenance::unstated(),
         };
         let counts = encode(scene, Some(&candidates), &settings)
-            .inspect_err(|fault| tracing::debug!(octaves, "the scene cannot be coded: {fault}"))
+            .inspect_err(|error| tracing::debug!(octaves, "the scene cannot be coded: {error}"))
             .ok()?
             .byte_counts;
         let bytes = counts.total + CONTAINER_BYTES.saturating_sub(counts.container);

@@ -55,9 +55,9 @@ fn moments(values: &[f64]) -> (f64, f64) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{domain::Lattice, model::Shape};
+    use crate::{domain::Lattice, model::ModelShape};
 
-    const SHAPE: Shape = Shape::new(1, 1);
+    const SHAPE: ModelShape = ModelShape::new(1, 1);
 
     fn anchors(rows: &[[f32; 10]], masks: Vec<u32>) -> AnchorRows {
         let cells = (0..).map(|x| [x, 0, 0]).take(rows.len()).collect();

@@ -72,25 +72,25 @@ impl PlaneConfig {
 
     fn check(&self) -> Result<(), ContextError> {
         let Self { edge, channels, layers, hidden, latents } = *self;
-        let fault = |text: String| Err(ContextError::Config(text));
+        let error = |text: String| Err(ContextError::Config(text));
         if !edge.is_power_of_two() || !(2..=MAX_EDGE).contains(&edge) {
-            return fault(format!(
+            return error(format!(
                 "a plane's edge of {edge} texels is not a power of two from 2 to {MAX_EDGE}"
             ));
         }
         if channels == 0 || channels % 4 != 0 {
-            return fault(format!("{channels} channels of a plane are not a multiple of four"));
+            return error(format!("{channels} channels of a plane are not a multiple of four"));
         }
         if layers >= edge.ilog2() as usize {
-            return fault(format!("{layers} halvings leave less than two texels of an edge of {edge}"));
+            return error(format!("{layers} halvings leave less than two texels of an edge of {edge}"));
         }
         if layers == 0 && latents != channels {
-            return fault(format!(
+            return error(format!(
                 "{latents} channels of a latent without layers, but {channels} of a plane"
             ));
         }
         if latents == 0 || (layers > 1 && hidden == 0) {
-            return fault("a layer without channels".to_owned());
+            return error("a layer without channels".to_owned());
         }
         Ok(())
     }

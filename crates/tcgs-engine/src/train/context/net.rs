@@ -432,8 +432,8 @@ impl ContextNet {
                 Some(place) if *place == NO_COLUMN => *place = column,
                 _ => {
                     let count = self.tables.count;
-                    let fault = format!("anchor {anchor} is sampled twice or is none of {count}");
-                    return Err(ContextError::Anchors(fault).into());
+                    let error = format!("anchor {anchor} is sampled twice or is none of {count}");
+                    return Err(ContextError::Anchors(error).into());
                 }
             }
         }

@@ -8,7 +8,7 @@ use std::sync::Arc;
 
 use crate::{
     gpu::{Buffer, Device, GpuError, Kernel, Plan, Recorder, kernel_source, planned},
-    model::Shape,
+    model::ModelShape,
     render::DeviceAnchors,
 };
 
@@ -79,7 +79,7 @@ pub struct QuantizedRows {
 impl QuantizedRows {
     /// Plans the rendered rows of `anchors` anchors.
     #[must_use]
-    pub fn plan(shape: Shape, anchors: usize) -> Plan<'static, Self> {
+    pub fn plan(shape: ModelShape, anchors: usize) -> Plan<'static, Self> {
         planned!(Self {
             quantize_rows: Plan::kernel(kernel_source!("quantize_rows"), &shape.defs()),
             quantize_gradient: Plan::kernel(kernel_source!("quantize_gradient"), &shape.defs()),
@@ -90,7 +90,7 @@ impl QuantizedRows {
     }
 
     /// The rendered rows of anchors whose steps are `[N][3]`: features, scalings, offsets.
-    pub fn upload(device: &Device, shape: Shape, steps: &[f32]) -> Result<Self, GpuError> {
+    pub fn upload(device: &Device, shape: ModelShape, steps: &[f32]) -> Result<Self, GpuError> {
         let made = Self::plan(shape, steps.len() / 3).make(device)?;
         device.write(&made.steps, steps);
         Ok(made)

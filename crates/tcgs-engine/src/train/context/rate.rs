@@ -36,7 +36,7 @@ use super::{Quantization, QuantizedRows, quantize::QuantizationUniform};
 use crate::{
     domain::AttributeGroup,
     gpu::{Buffer, Device, GpuError, Kernel, Plan, Recorder, kernel_source, planned},
-    model::Shape,
+    model::ModelShape,
     render::DeviceAnchors,
 };
 
@@ -99,7 +99,7 @@ pub struct RateTerm {
     rate: Arc<Kernel>,
     refresh_quant_steps: Arc<Kernel>,
     sum_bits: Arc<Kernel>,
-    shape: Shape,
+    shape: ModelShape,
     capacity: usize,
     bits: Buffer<f32>,
     sums: Buffer<f32>,
@@ -108,7 +108,7 @@ pub struct RateTerm {
 impl RateTerm {
     /// Plans the rate of samples of up to `capacity` anchors.
     #[must_use]
-    pub fn plan(shape: Shape, capacity: usize) -> Plan<'static, Self> {
+    pub fn plan(shape: ModelShape, capacity: usize) -> Plan<'static, Self> {
         planned!(Self {
             rate: Plan::kernel(kernel_source!("rate"), &shape.defs()),
             refresh_quant_steps: Plan::kernel(kernel_source!("refresh_quant_steps"), &[]),

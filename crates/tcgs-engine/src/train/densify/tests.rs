@@ -7,9 +7,9 @@ use rand::SeedableRng;
 use rand_pcg::Pcg64;
 
 use super::*;
-use crate::{domain::Lattice, model::Shape, train::FIRST_LOGIT};
+use crate::{domain::Lattice, model::ModelShape, train::FIRST_LOGIT};
 
-const SHAPE: Shape = Shape::new(4, 2);
+const SHAPE: ModelShape = ModelShape::new(4, 2);
 const WIDTH: usize = 2 * SHAPE.offsets + 2;
 
 const SETTINGS: DensifySettings = DensifySettings {

@@ -87,8 +87,8 @@ impl PlainTrainer {
             let base: Vec<f32> = state.take(name)?;
             let count = base.len() / BASE;
             if count == 0 || base.len() != count * BASE {
-                let fault = format!("has {} values, which is not a multiple of {BASE}", base.len());
-                return Err(CheckpointError::array(name, fault).into());
+                let error = format!("has {} values, which is not a multiple of {BASE}", base.len());
+                return Err(CheckpointError::array(name, error).into());
             }
             let mut band = |band: usize| state.take_exactly(&band_name(name, band), count * BANDS[band]);
             rows.push(GaussianRows { base, bands: [band(0)?, band(1)?, band(2)?] });

@@ -1,6 +1,6 @@
 //! The stages of compression-aware training, in fractions of the run (METHOD.md §4.2).
 //!
-//! Invariant: the stages follow each other in the order of [`Stage`].
+//! Invariant: the stages follow each other in the order of [`CompressionStage`].
 
 use super::{Decay, Pace};
 use crate::{
@@ -38,7 +38,7 @@ const SHORT: BaseQuantStepRule =
 
 /// The form in which attributes are rendered, and what the rate term does.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Stage {
+pub enum CompressionStage {
     /// Attributes without quantization.
     Plain,
     /// Attributes with uniform noise as wide as the base quantization steps.
@@ -177,15 +177,15 @@ impl CompressionSchedule {
 
     /// The stage of `step`.
     #[must_use]
-    pub fn stage(&self, step: u32) -> Stage {
+    pub fn stage(&self, step: u32) -> CompressionStage {
         if step >= self.rounded_from {
-            Stage::Rounded
+            CompressionStage::Rounded
         } else if step >= self.context_from {
-            Stage::Context
+            CompressionStage::Context
         } else if step >= self.noise_from {
-            Stage::Noise
+            CompressionStage::Noise
         } else {
-            Stage::Plain
+            CompressionStage::Plain
         }
     }
 
@@ -231,7 +231,7 @@ mod tests {
         assert!((paper.planes.at(paper.context_progress(30_000)) - 1e-5).abs() < 1e-12);
         assert_eq!([15_000, 15_001].map(|step| paper.reconstruction_at(step)), [0.0, 0.01]);
         let stages = [1, 3_000, 3_001, 10_000, 10_001, 25_500, 25_501, 30_000].map(|step| paper.stage(step));
-        use Stage::{Context, Noise, Plain, Rounded};
+        use CompressionStage::{Context, Noise, Plain, Rounded};
         assert_eq!(stages, [Plain, Plain, Noise, Noise, Context, Context, Rounded, Rounded]);
         let turns: Vec<u32> = (0..=30_000).filter(|step| paper.changes_stage_after(*step)).collect();
         assert_eq!(turns, [3_000, 10_000, 25_500]);

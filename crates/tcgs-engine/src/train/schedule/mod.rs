@@ -9,7 +9,7 @@ mod table;
 
 use std::ops::Range;
 
-pub use compression::{BaseQuantStepRule, CompressionSchedule, Stage};
+pub use compression::{BaseQuantStepRule, CompressionSchedule, CompressionStage};
 pub use pace::Pace;
 pub(super) use plain::PlainSchedule;
 pub use table::schedule_table;
@@ -18,7 +18,7 @@ use super::RateControl;
 use crate::{
     domain::{Component, ModelKind, Preset, SceneFrame, TrainOptions, Voxel},
     init::{PassingUnits, VoxelRule},
-    model::Shape,
+    model::ModelShape,
 };
 
 /// Largest factor of the anchors' learning rates in short runs.
@@ -175,7 +175,7 @@ pub struct Schedule {
     /// The run's pace along the schedule, which all landmarks below already follow.
     pub pace: Pace,
     /// Widths of the anchor model.
-    pub shape: Shape,
+    pub shape: ModelShape,
     /// Whether features and networks begin with the colors of a point cloud (METHOD.md §2.10); else features at 0 and networks
     /// random, as published.
     pub begins_colored: bool,
@@ -243,9 +243,9 @@ impl Schedule {
     #[must_use]
     pub fn new(options: &TrainOptions) -> Self {
         let (default_steps, shape, max_anchors, random_points) = match options.preset {
-            Preset::Preview => (2_000, Shape::new(32, 4), 40_000, 10_000),
-            Preset::Standard => (10_000, Shape::new(50, 10), 200_000, 20_000),
-            Preset::Paper => (30_000, Shape::new(50, 10), 400_000, 100_000),
+            Preset::Preview => (2_000, ModelShape::new(32, 4), 40_000, 10_000),
+            Preset::Standard => (10_000, ModelShape::new(50, 10), 200_000, 20_000),
+            Preset::Paper => (30_000, ModelShape::new(50, 10), 400_000, 100_000),
         };
         let steps = options.iterations.unwrap_or(default_steps);
         let part = |fraction: f64| (f64::from(steps) * fraction).round() as u32;
@@ -389,7 +389,7 @@ impl Schedule {
     /// Whether the host is busy for long after `step`: with passes over the training views, or the choice of a context model.
     pub(super) fn pauses_after(&self, step: u32) -> bool {
         let rounds = |compression: &CompressionSchedule| {
-            compression.changes_stage_after(step) && compression.stage(step + 1) == Stage::Rounded
+            compression.changes_stage_after(step) && compression.stage(step + 1) == CompressionStage::Rounded
         };
         self.masks.is_some_and(|masks| masks.until == step)
             || self.narrowing_estimates.contains(&step)
@@ -443,8 +443,10 @@ impl Schedule {
     /// Screen-gradient threshold of growth after `step`, at the coarsest level, where the rate term weighs `lambda`.
     #[must_use]
     pub fn growth_threshold_at(&self, step: u32, lambda: f64) -> f32 {
-        let counts =
-            self.compression.as_ref().is_some_and(|compression| compression.stage(step) >= Stage::Context);
+        let counts = self
+            .compression
+            .as_ref()
+            .is_some_and(|compression| compression.stage(step) >= CompressionStage::Context);
         if self.grows_by_rate && counts { growth::threshold(lambda) } else { self.growth_threshold }
     }
 

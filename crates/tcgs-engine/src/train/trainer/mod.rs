@@ -33,7 +33,7 @@ use crate::{
     },
     gpu::{Binding, Device, KernelVariant, RawBuffer, Readback, Recorder},
     init::random_points,
-    model::Shape,
+    model::ModelShape,
     render::{RasterSettings, Rasterizer},
 };
 
@@ -634,12 +634,12 @@ impl Run {
         next_stage(&mut recorder, "loss")?;
         let size = [camera.intrinsics.width, camera.intrinsics.height];
         let wavelet = self.wavelet.then(|| WaveletWeights::at(step.fraction));
-        let v_image =
+        let d_image =
             self.loss.record(&mut recorder, size, self.raster.image(), &photograph, wavelet.as_ref())?;
         let gaussians = self.model.gaussians().clone();
         let d_gaussians = self.model.gaussian_gradients()?;
         next_stage(&mut recorder, "rasterizer backward")?;
-        self.raster.backward(&mut recorder, &gaussians, &camera, v_image, &d_gaussians)?;
+        self.raster.backward(&mut recorder, &gaussians, &camera, d_image, &d_gaussians)?;
         next_stage(&mut recorder, "model backward")?;
         self.model.backward(&mut recorder, &step, self.raster.overflow_flag())?;
         self.state.step = step.number;
@@ -778,7 +778,7 @@ impl Run {
             })
         });
         let learnt = self.schedule.shape;
-        let narrowed = matches!(&scene, Scene::Anchors(scene) if Shape::of(scene) != learnt);
+        let narrowed = matches!(&scene, Scene::Anchors(scene) if ModelShape::of(scene) != learnt);
         let narrowed_from = narrowed.then_some(Widths { features: learnt.features, offsets: learnt.offsets });
         let choices = Choices { narrowed_from, shortened, ..self.choices };
         Ok(Trained { scene, unrounded, context, steps, seconds, choices, convergence })

@@ -32,7 +32,7 @@ pub use kernel_source;
 /// Files that kernels import, by the path in their `#define_import_path` line, in dependency order.
 const SHARED: &[(&str, &str)] = &[
     ("index", include_str!("../../../shaders/shared/index.wgsl")),
-    ("spread", include_str!("../../../shaders/shared/spread.wgsl")),
+    ("permute", include_str!("../../../shaders/shared/permute.wgsl")),
     ("blocks", include_str!("../../../shaders/shared/blocks.wgsl")),
     ("runs", include_str!("../../../shaders/shared/runs.wgsl")),
     ("view", include_str!("../../../shaders/shared/view.wgsl")),
@@ -81,8 +81,8 @@ pub(super) fn composer() -> Result<Composer, GpuError> {
             })
             .map(|_| ());
         if let Err(error) = added {
-            let fault = error.emit_to_string(&composer);
-            return Err(GpuError::Kernel { kernel: (*path).to_owned(), fault });
+            let error = error.emit_to_string(&composer);
+            return Err(GpuError::Kernel { kernel: (*path).to_owned(), error });
         }
     }
     Ok(composer)
@@ -109,7 +109,7 @@ pub(super) fn compose(
         })
         .map_err(|error| GpuError::Kernel {
             kernel: source.name.to_owned(),
-            fault: error.emit_to_string(composer),
+            error: error.emit_to_string(composer),
         })
 }
 
@@ -144,7 +144,7 @@ impl Kernel {
             cache: None,
         });
         if let Some(error) = pollster::block_on(scope.pop()) {
-            return Err(GpuError::Kernel { kernel: source.name.to_owned(), fault: error.to_string() });
+            return Err(GpuError::Kernel { kernel: source.name.to_owned(), error: error.to_string() });
         }
         let layout = pipeline.get_bind_group_layout(0);
         Ok(Self { pipeline, layout, name: source.name, id })
@@ -222,7 +222,7 @@ mod tests {
                             faults.push(format!("{name}: its entry points are {entries:?}"));
                         }
                     }
-                    Err(fault) => faults.push(format!("{defs:?}: {fault}")),
+                    Err(error) => faults.push(format!("{defs:?}: {error}")),
                 }
             }
         }

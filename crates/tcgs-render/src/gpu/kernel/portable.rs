@@ -25,9 +25,9 @@ fn each_kernel(mut check: impl FnMut(&str, &[(&str, u32)], &Module) -> Result<()
         let name = source.name;
         for defs in definitions.all() {
             let checked = compose(&mut composer, *source, &defs)
-                .map_err(|fault| fault.to_string())
+                .map_err(|error| error.to_string())
                 .and_then(|module| check(name, &defs, &module));
-            faults.extend(checked.err().map(|fault| format!("{name} {defs:?}: {fault}")));
+            faults.extend(checked.err().map(|error| format!("{name} {defs:?}: {error}")));
         }
     }
     assert!(faults.is_empty(), "{}", faults.join("\n"));
@@ -46,7 +46,7 @@ fn no_kernel_binds_more_storage_buffers_than_every_device_has() {
 fn validated(module: &Module) -> Result<ModuleInfo, String> {
     Validator::new(ValidationFlags::all(), Capabilities::SUBGROUP)
         .validate(module)
-        .map_err(|fault| format!("{:?}", fault.into_inner()))
+        .map_err(|error| format!("{:?}", error.into_inner()))
 }
 
 #[test]
@@ -55,14 +55,14 @@ fn every_kernel_translates_to_the_languages_of_all_back_ends() {
         let info = validated(module)?;
         let options = spv::Options { lang_version: (1, 3), ..spv::Options::default() };
         let words =
-            spv::write_vec(module, &info, &options, None).map_err(|fault| format!("SPIR-V: {fault}"))?;
+            spv::write_vec(module, &info, &options, None).map_err(|error| format!("SPIR-V: {error}"))?;
         assert!(words.len() > 5, "{name}");
         let options = msl::Options { lang_version: (2, 1), ..msl::Options::default() };
         let (text, written) = msl::write_string(module, &info, &options, &msl::PipelineOptions::default())
-            .map_err(|fault| format!("MSL: {fault}"))?;
+            .map_err(|error| format!("MSL: {error}"))?;
         assert!(text.contains("kernel void"), "{name}");
         for entry in written.entry_point_names {
-            entry.map_err(|fault| format!("MSL: {fault}"))?;
+            entry.map_err(|error| format!("MSL: {error}"))?;
         }
         let target = hlsl::BindTarget { space: 1, ..hlsl::BindTarget::default() };
         let options = hlsl::Options {
@@ -73,10 +73,10 @@ fn every_kernel_translates_to_the_languages_of_all_back_ends() {
         let mut text = String::new();
         let written = hlsl::Writer::new(&mut text, &options, &hlsl::PipelineOptions::default())
             .write(module, &info, None)
-            .map_err(|fault| format!("HLSL: {fault}"))?;
+            .map_err(|error| format!("HLSL: {error}"))?;
         assert!(text.contains("numthreads"), "{name}");
         for entry in written.entry_point_names {
-            entry.map_err(|fault| format!("HLSL: {fault}"))?;
+            entry.map_err(|error| format!("HLSL: {error}"))?;
         }
         Ok(())
     });

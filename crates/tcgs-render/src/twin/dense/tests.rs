@@ -4,11 +4,11 @@ use super::{
     dense, dense_software, dense_weight_gradient, dense_weight_gradient_software, pack_weights,
     sum_weight_gradient,
 };
-use crate::model::{NetworkLayout, Shape};
+use crate::model::{ModelShape, NetworkLayout};
 
 #[test]
 fn both_sets_of_kernels_compute_the_same() {
-    let layout = NetworkLayout::new(Shape::new(5, 3));
+    let layout = NetworkLayout::new(ModelShape::new(5, 3));
     let number = |i: usize| ((i * 7919 % 1000) as f64) / 500.0 - 1.0;
     let parameters: Vec<f64> = (0..layout.parameters).map(number).collect();
     let columns = |first: usize, rows: usize| -> Vec<Vec<f64>> {

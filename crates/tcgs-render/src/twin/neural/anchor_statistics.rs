@@ -10,7 +10,7 @@ use crate::{
 pub fn anchor_statistics(
     projection: &Projection,
     gaussians: &[Option<Gaussian>],
-    v_splats: &[SplatGradient],
+    d_splats: &[SplatGradient],
     tiles: &[u32],
     statistics: &mut [f64],
 ) {
@@ -19,7 +19,7 @@ pub fn anchor_statistics(
         let Some(gaussian) = gaussian else { continue };
         statistics[2 * offsets] += gaussian.opacity;
         if tiles[k] > 0 {
-            statistics[k] += (v_splats[k].center * 0.5 * projection.size.as_dvec2()).length();
+            statistics[k] += (d_splats[k].center * 0.5 * projection.size.as_dvec2()).length();
             statistics[offsets + k] += 1.0;
         }
     }

@@ -2,12 +2,12 @@
 
 use glam::{DVec2, DVec3};
 
-use crate::{Projection, model::Shape};
+use crate::{Projection, model::ModelShape};
 
 /// Whether the three-sigma box of the anchor, projected as an axis-aligned Gaussian of its offset scale, touches the
 /// image (METHOD.md §2.3).
 #[must_use]
-pub fn anchor_visible(projection: &Projection, position: DVec3, shape: Shape, row: &[f64]) -> bool {
+pub fn anchor_visible(projection: &Projection, position: DVec3, shape: ModelShape, row: &[f64]) -> bool {
     // A constant of this test, independent of the rasterizer's settings.
     const LOW_PASS: f64 = 0.3;
     let view = projection.rotation;

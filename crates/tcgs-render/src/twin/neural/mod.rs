@@ -41,7 +41,7 @@ pub use super::dense::{
 use super::{Gaussian, GaussianGradient, Projection};
 use crate::{
     domain::SceneScale,
-    model::{AnchorRows, NetworkLayout, Shape},
+    model::{AnchorRows, ModelShape, NetworkLayout},
 };
 
 /// Larger magnitudes count as infinite.
@@ -54,7 +54,7 @@ const GRADIENT_RUN: usize = 1024;
 #[derive(Debug, Clone, PartialEq)]
 pub struct Anchors {
     /// Widths.
-    pub shape: Shape,
+    pub shape: ModelShape,
     /// World positions.
     pub positions: Vec<DVec3>,
     /// `[N][row]` parameters.

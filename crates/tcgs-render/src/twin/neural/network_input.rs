@@ -3,7 +3,7 @@
 use glam::DVec3;
 
 use super::LIMIT;
-use crate::{Projection, domain::SceneScale, model::Shape};
+use crate::{Projection, domain::SceneScale, model::ModelShape};
 
 /// Feature, unit view direction, distance in units of `unit` (METHOD.md §2.2). A feature value that is not finite reads as
 /// zero.
@@ -11,7 +11,7 @@ use crate::{Projection, domain::SceneScale, model::Shape};
 pub fn network_input(
     projection: &Projection,
     position: DVec3,
-    shape: Shape,
+    shape: ModelShape,
     row: &[f64],
     scene_scale: SceneScale,
 ) -> Vec<f64> {

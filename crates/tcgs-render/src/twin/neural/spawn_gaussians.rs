@@ -7,14 +7,14 @@ use super::{
     anchor_row::{offset, scalings, three},
     output_column::{logistic, outputs_of},
 };
-use crate::{model::Shape, twin::Gaussian};
+use crate::{model::ModelShape, twin::Gaussian};
 
 /// The K Gaussians of one anchor; none where the opacity is not positive or its output not finite, the mask is off, or position or
 /// size is not finite.
 #[must_use]
 pub fn spawn_gaussians(
     position: DVec3,
-    shape: Shape,
+    shape: ModelShape,
     row: &[f64],
     mask: u32,
     outputs: &[f64],

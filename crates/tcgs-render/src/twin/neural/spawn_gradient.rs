@@ -7,7 +7,7 @@ use super::{
     output_column::{logistic, outputs_of},
 };
 use crate::{
-    model::Shape,
+    model::ModelShape,
     twin::{Gaussian, GaussianGradient},
 };
 
@@ -15,7 +15,7 @@ use crate::{
 /// into `d_row`. `volume_weight` is the weight of a Gaussian's product of scales.
 #[must_use]
 pub fn spawn_gradient(
-    shape: Shape,
+    shape: ModelShape,
     row: &[f64],
     outputs: &[f64],
     gaussians: &[Option<Gaussian>],

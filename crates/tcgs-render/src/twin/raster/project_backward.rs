@@ -17,40 +17,40 @@ pub fn project_backward(projection: &Projection, gaussian: &Gaussian, v: &SplatG
         * determinant.recip();
 
     // dC = -K dK K for symmetric matrices.
-    let v_conic = DMat2::from_cols_array(&[v.conic.x, 0.5 * v.conic.y, 0.5 * v.conic.y, v.conic.z]);
-    let mut v_covariance = -(conic * v_conic * conic);
-    let mut v_opacity = v.opacity;
+    let d_conic = DMat2::from_cols_array(&[v.conic.x, 0.5 * v.conic.y, 0.5 * v.conic.y, v.conic.z]);
+    let mut d_covariance = -(conic * d_conic * conic);
+    let mut d_opacity = v.opacity;
     if projection.antialiased {
         let ratio = sharp / determinant;
         let compensation = ratio.max(MIN_RATIO).sqrt();
-        v_opacity *= compensation;
+        d_opacity *= compensation;
         if ratio > MIN_RATIO {
-            let v_ratio = v.opacity * gaussian.opacity / (2.0 * compensation);
-            v_covariance +=
-                v_ratio * ((1.0 - ratio) * conic - projection.low_pass / determinant * DMat2::IDENTITY);
+            let d_ratio = v.opacity * gaussian.opacity / (2.0 * compensation);
+            d_covariance +=
+                d_ratio * ((1.0 - ratio) * conic - projection.low_pass / determinant * DMat2::IDENTITY);
         }
     }
 
     // C = N Nᵀ, N = rows · axes · diag(scale).
     let [nu, nv] = projected.products;
-    let v_products = [
-        2.0 * (v_covariance.x_axis.x * nu + v_covariance.x_axis.y * nv),
-        2.0 * (v_covariance.x_axis.y * nu + v_covariance.y_axis.y * nv),
+    let d_products = [
+        2.0 * (d_covariance.x_axis.x * nu + d_covariance.x_axis.y * nv),
+        2.0 * (d_covariance.x_axis.y * nu + d_covariance.y_axis.y * nv),
     ];
     let rows = projected.rows;
-    let v_axes = [0, 1, 2].map(|k| v_products[0][k] * rows[0] + v_products[1][k] * rows[1]);
-    let scale = DVec3::from([0, 1, 2].map(|k| projected.axes[k].dot(v_axes[k])));
+    let d_axes = [0, 1, 2].map(|k| d_products[0][k] * rows[0] + d_products[1][k] * rows[1]);
+    let scale = DVec3::from([0, 1, 2].map(|k| projected.axes[k].dot(d_axes[k])));
     let d = DMat3::from_cols(
-        gaussian.scale.x * v_axes[0],
-        gaussian.scale.y * v_axes[1],
-        gaussian.scale.z * v_axes[2],
+        gaussian.scale.x * d_axes[0],
+        gaussian.scale.y * d_axes[1],
+        gaussian.scale.z * d_axes[2],
     );
     let quat = quat_gradient(gaussian.quat, &d);
 
-    let v_rows = [0, 1]
-        .map(|i| (0..3).map(|k| v_products[i][k] * gaussian.scale[k] * projected.axes[k]).sum::<DVec3>());
-    let mean = mean_gradient(projection, &projected, v_rows, v.center);
-    GaussianGradient { mean, opacity: v_opacity, scale, quat, color: v.color }
+    let d_rows = [0, 1]
+        .map(|i| (0..3).map(|k| d_products[i][k] * gaussian.scale[k] * projected.axes[k]).sum::<DVec3>());
+    let mean = mean_gradient(projection, &projected, d_rows, v.center);
+    GaussianGradient { mean, opacity: d_opacity, scale, quat, color: v.color }
 }
 
 /// By the quaternion as given, from the gradient by the rotation matrix.
@@ -77,23 +77,23 @@ fn quat_gradient(quat: [f64; 4], d: &DMat3) -> [f64; 4] {
 fn mean_gradient(
     projection: &Projection,
     projected: &ProjectedCovariance,
-    v_rows: [DVec3; 2],
-    v_center: DVec2,
+    d_rows: [DVec3; 2],
+    d_center: DVec2,
 ) -> DVec3 {
     let view = projection.rotation;
     let position = projected.position;
-    let mut v_position = DVec3::ZERO;
+    let mut d_position = DVec3::ZERO;
     for i in 0..2 {
-        let (along, depth) = (v_rows[i].dot(view.row(i)), v_rows[i].dot(view.row(2)));
+        let (along, depth) = (d_rows[i].dot(view.row(i)), d_rows[i].dot(view.row(2)));
         let per_depth = projection.focal[i] / (position.z * position.z);
         // A clamped slope does not depend on the position, and depth then enters once instead of twice.
         let free = projected.slope[i] == position[i] / position.z;
-        v_position[i] += projection.focal[i] / position.z * v_center[i];
+        d_position[i] += projection.focal[i] / position.z * d_center[i];
         if free {
-            v_position[i] -= per_depth * depth;
+            d_position[i] -= per_depth * depth;
         }
         let share = if free { 2.0 } else { 1.0 };
-        v_position.z += per_depth * (share * projected.slope[i] * depth - along - position[i] * v_center[i]);
+        d_position.z += per_depth * (share * projected.slope[i] * depth - along - position[i] * d_center[i]);
     }
-    view.transpose() * v_position
+    view.transpose() * d_position
 }

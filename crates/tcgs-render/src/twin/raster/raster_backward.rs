@@ -13,16 +13,16 @@ use crate::{
 pub fn raster_backward(
     projection: &Projection,
     rendering: &Rendering,
-    v_image: &[[f64; 4]],
+    d_image: &[[f64; 4]],
     cutoffs: Cutoffs,
 ) -> Vec<SplatGradient> {
     let Rendering { splats, lists, frame } = rendering;
     let mut slots = vec![SplatGradient::default(); lists.slots.len()];
-    for (i, v) in v_image.iter().enumerate() {
+    for (i, v) in d_image.iter().enumerate() {
         let (center, range) = pixel(projection, lists, i);
-        let (v_color, v_alpha) = (DVec3::new(v[0], v[1], v[2]), v[3]);
+        let (d_color, d_alpha) = (DVec3::new(v[0], v[1], v[2]), v[3]);
         let [r, g, b, left] = frame.image[i];
-        let mut remainder = v_color.dot(DVec3::new(r, g, b)) + v_alpha * (1.0 - left);
+        let mut remainder = d_color.dot(DVec3::new(r, g, b)) + d_alpha * (1.0 - left);
         let mut transmittance = 1.0;
         for slot in lists.slots[range].iter().take(frame.last[i] as usize) {
             let Some(splat) = &splats[lists.slot_ids[*slot as usize] as usize] else { continue };
@@ -31,18 +31,18 @@ pub fn raster_backward(
             };
             let alpha = contribution.alpha();
             let weight = alpha * transmittance;
-            let value = v_color.dot(splat.color) + v_alpha;
+            let value = d_color.dot(splat.color) + d_alpha;
             remainder -= weight * value;
             let slope = transmittance * value - remainder / (1.0 - alpha);
             transmittance *= 1.0 - alpha;
-            let v_raw = if contribution.raw > ALPHA_MAX { 0.0 } else { slope };
-            let v_power = -contribution.raw * v_raw;
+            let d_raw = if contribution.raw > ALPHA_MAX { 0.0 } else { slope };
+            let d_power = -contribution.raw * d_raw;
             let d = contribution.offset;
             let sums = &mut slots[*slot as usize];
-            sums.color += weight * v_color;
-            sums.opacity += contribution.falloff * v_raw;
-            sums.conic += v_power * DVec3::new(0.5 * d.x * d.x, d.x * d.y, 0.5 * d.y * d.y);
-            sums.center += v_power
+            sums.color += weight * d_color;
+            sums.opacity += contribution.falloff * d_raw;
+            sums.conic += d_power * DVec3::new(0.5 * d.x * d.x, d.x * d.y, 0.5 * d.y * d.y);
+            sums.center += d_power
                 * DVec2::new(
                     splat.conic.x * d.x + splat.conic.y * d.y,
                     splat.conic.y * d.x + splat.conic.z * d.y,

@@ -6,7 +6,7 @@ use tcgs_codec::domain::{Camera, Lattice, Pose, SceneScale};
 use tcgs_render::{
     AnchorGradients, DeviceAnchors, NeuralGaussians, RasterSettings, Rasterizer, RenderError,
     gpu::{AdapterReport, Device, DeviceSettings, GpuError, Subgroups},
-    model::{AnchorRows, NetworkLayout, Shape},
+    model::{AnchorRows, ModelShape, NetworkLayout},
     twin::{GaussianGradient, neural as twin},
 };
 
@@ -24,11 +24,11 @@ const NEAR: f32 = 0.2;
 /// bound leaves room for adapters whose exp and tanh are good to a few units less.
 const BOUND: f64 = 1e-4;
 
-fn neural(shape: Shape, subgroups: bool) -> NeuralGaussians {
+fn neural(shape: ModelShape, subgroups: bool) -> NeuralGaussians {
     neural_in(SceneScale::DEFAULT, shape, subgroups)
 }
 
-fn neural_in(scene_scale: SceneScale, shape: Shape, subgroups: bool) -> NeuralGaussians {
+fn neural_in(scene_scale: SceneScale, shape: ModelShape, subgroups: bool) -> NeuralGaussians {
     let make = if subgroups { NeuralGaussians::new } else { NeuralGaussians::without_subgroups };
     make(gpu(), shape, NEAR, scene_scale).expect("the kernels")
 }
@@ -111,7 +111,7 @@ fn assert_matches_twin(
     spawned.list.len()
 }
 
-fn check(shape: Shape, anchors: usize, spread: f32, subgroups: bool) -> usize {
+fn check(shape: ModelShape, anchors: usize, spread: f32, subgroups: bool) -> usize {
     let device = gpu();
     let (camera, seed) = (random::camera(40, 30), anchors as u64);
     let scene = Scene::random(seed, shape, anchors, spread, &projection(&camera));
@@ -162,7 +162,7 @@ fn the_trained_widths_match_the_twin() {
 #[test]
 fn the_published_widths_match_the_twin() {
     for subgroups in [true, false] {
-        assert_eq!(check(Shape::new(50, 10), 130, 0.8, subgroups), 130);
+        assert_eq!(check(ModelShape::new(50, 10), 130, 0.8, subgroups), 130);
     }
 }
 
@@ -227,7 +227,7 @@ fn an_anchor_whose_offsets_are_all_masked_makes_nothing_and_learns_nothing() {
 fn both_variants_match_the_twin_where_many_anchors_make_nothing() {
     let camera = random::camera(40, 30);
     // Widths that are no multiple of four, and more inputs than an invocation holds at a time.
-    for shape in [Shape::new(7, 6), Shape::new(37, 3)] {
+    for shape in [ModelShape::new(7, 6), ModelShape::new(37, 3)] {
         let mut scene = Scene::random(12, shape, 333, 2.0, &projection(&camera));
         for (anchor, mask) in scene.anchors.masks.iter_mut().enumerate() {
             *mask = if anchor % 3 == 1 { *mask } else { 0 };
@@ -292,7 +292,7 @@ fn statistics_before_a_backward_pass_are_refused() {
 }
 
 /// Whether the forward and backward pass of one view fit the device's bindings.
-fn has_room(device: &Arc<Device>, shape: Shape, count: usize) -> bool {
+fn has_room(device: &Arc<Device>, shape: ModelShape, count: usize) -> bool {
     let layout = NetworkLayout::new(shape);
     let anchors = AnchorRows {
         shape,
@@ -307,13 +307,13 @@ fn has_room(device: &Arc<Device>, shape: Shape, count: usize) -> bool {
         let out = AnchorGradients::plan(shape, count).make(device)?;
         let mut neural = NeuralGaussians::new(Arc::clone(device), shape, NEAR, SceneScale::DEFAULT)?;
         let mut raster = Rasterizer::new(Arc::clone(device), RasterSettings::default())?;
-        let v_image = device.buffer("v_image", 40 * 30)?;
+        let d_image = device.buffer("v_image", 40 * 30)?;
         let mut recorder = device.recorder("there and back");
         neural.forward(&mut recorder, &uploaded, &camera, 0.0)?;
         raster.forward(&mut recorder, neural.gaussians(), &camera, [0.0; 3])?;
         let gaussians = neural.gaussians().clone();
         let gradients = neural.gaussian_gradients()?.clone();
-        raster.backward(&mut recorder, &gaussians, &camera, &v_image, &gradients)?;
+        raster.backward(&mut recorder, &gaussians, &camera, &d_image, &gradients)?;
         neural.backward(&mut recorder, &uploaded, &out)?;
         recorder.submit()?;
         Ok(device.wait()?)
@@ -321,7 +321,7 @@ fn has_room(device: &Arc<Device>, shape: Shape, count: usize) -> bool {
     match go() {
         Ok(()) => true,
         Err(RenderError::Gpu(GpuError::BufferTooLarge { .. })) => false,
-        Err(fault) => panic!("{count} anchors: {fault}"),
+        Err(error) => panic!("{count} anchors: {error}"),
     }
 }
 
@@ -346,7 +346,7 @@ fn a_forward_pass_can_be_gone_back_from_once() {
 fn the_most_anchors_are_what_the_widest_buffer_binds() {
     // What WebGPU guarantees. With 32 features the splats are the widest, with 50 the hidden values.
     for (features, expected) in [(32, 223_696), (50, 178_957)] {
-        let shape = Shape::new(features, 10);
+        let shape = ModelShape::new(features, 10);
         let adapter = AdapterReport { max_binding_bytes: 128 << 20, ..gpu().adapter().clone() };
         assert_eq!(NeuralGaussians::max_anchors(&adapter, shape), expected);
         // The same of a device with narrower bindings, where all buffers are really made.

@@ -3,7 +3,7 @@
 use glam::DVec3;
 use tcgs_codec::domain::SceneScale;
 use tcgs_render::{
-    model::{NetworkLayout, Shape},
+    model::{ModelShape, NetworkLayout},
     twin::{Gaussian, GaussianGradient, neural as twin},
 };
 
@@ -24,7 +24,7 @@ fn dot(gaussian: &Gaussian, v: &GaussianGradient) -> f64 {
 #[test]
 fn the_whole_chain_has_the_gradient_of_a_random_linear_loss_and_the_volume() {
     const VOLUME_WEIGHT: f64 = 40.0;
-    let shape = Shape::new(4, 3);
+    let shape = ModelShape::new(4, 3);
     let camera = random::camera(30, 20);
     let projection = projection(&camera);
     let scene = Scene::random(3, shape, 6, 1.0, &projection);
@@ -70,7 +70,7 @@ fn the_whole_chain_has_the_gradient_of_a_random_linear_loss_and_the_volume() {
 
 #[test]
 fn a_dense_layer_has_the_gradients_of_its_forward_pass() {
-    let layout = NetworkLayout::new(Shape::new(4, 2));
+    let layout = NetworkLayout::new(ModelShape::new(4, 2));
     // The color head: it reads and writes in the middle of its columns.
     let layer = layout.heads[2];
     let number = |i: usize| ((i * 7919 % 1000) as f64) / 500.0 - 1.0;
@@ -114,7 +114,7 @@ fn a_dense_layer_has_the_gradients_of_its_forward_pass() {
 
 #[test]
 fn layers_agree_with_the_networks_of_the_scene() {
-    let shape = Shape::new(4, 2);
+    let shape = ModelShape::new(4, 2);
     let projection = projection(&random::camera(30, 20));
     let scene = Scene::random(3, shape, 1, 1.0, &projection);
     let spawned = twin::neural_forward(&projection, &scene.twin());
@@ -138,7 +138,7 @@ fn layers_agree_with_the_networks_of_the_scene() {
 
 #[test]
 fn the_input_is_feature_direction_and_distance_in_the_scenes_unit() {
-    let shape = Shape::new(4, 2);
+    let shape = ModelShape::new(4, 2);
     let camera = random::camera(30, 20);
     let row: Vec<f64> = (0..shape.row()).map(|i| i as f64).collect();
     let position = DVec3::new(0.5, -0.25, 0.125);

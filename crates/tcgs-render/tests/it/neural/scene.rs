@@ -10,17 +10,17 @@ use tcgs_render::model::all_offsets;
 use tcgs_render::{
     AnchorGradients, DeviceAnchors, NeuralGaussians, Projection, RasterSettings,
     gpu::Device,
-    model::{AnchorRows, NetworkLayout, Shape},
+    model::{AnchorRows, ModelShape, NetworkLayout},
     twin::{GaussianGradient, SplatGradient, neural as twin},
 };
 
 use crate::support::scene::sections;
 
 /// Sizes that leave every tile of the kernels partly filled.
-pub(super) const SMALL: Shape = Shape::new(8, 3);
+pub(super) const SMALL: ModelShape = ModelShape::new(8, 3);
 
 /// The sizes that are trained.
-pub(super) const USUAL: Shape = Shape::new(32, 10);
+pub(super) const USUAL: ModelShape = ModelShape::new(32, 10);
 
 /// Anchors with networks.
 #[derive(Clone)]
@@ -39,7 +39,7 @@ impl Scene {
     /// `projection` or of a ReLU that rounding might take it differently.
     pub(super) fn random(
         seed: u64,
-        shape: Shape,
+        shape: ModelShape,
         count: usize,
         spread: f32,
         projection: &Projection,
@@ -51,7 +51,7 @@ impl Scene {
     pub(super) fn random_in(
         scene_scale: SceneScale,
         seed: u64,
-        shape: Shape,
+        shape: ModelShape,
         count: usize,
         spread: f32,
         projection: &Projection,

@@ -3,12 +3,12 @@
 use std::f64::consts::LN_2;
 
 use super::quantizer::{Quantizer, group, through_floor, widths};
-use crate::{model::Shape, train::context::Quantization};
+use crate::{model::ModelShape, train::context::Quantization};
 
 /// One anchor's gradients by its row and by the base-2 logarithms of its steps, from those by its rendered row.
 #[must_use]
 pub fn quantize_gradient(
-    shape: Shape,
+    shape: ModelShape,
     by: &Quantization,
     anchor: u32,
     row: &[f64],

@@ -1,12 +1,12 @@
 //! Quantized rows.
 
 use super::quantizer::{Quantizer, group, widths};
-use crate::{model::Shape, train::context::Quantization};
+use crate::{model::ModelShape, train::context::Quantization};
 
 /// One anchor's rendered row. `steps` are the anchor's own.
 #[must_use]
 pub fn quantize_rows(
-    shape: Shape,
+    shape: ModelShape,
     by: &Quantization,
     anchor: u32,
     row: &[f64],

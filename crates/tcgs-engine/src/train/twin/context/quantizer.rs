@@ -1,7 +1,7 @@
 //! A value of an anchor as it is rendered.
 
 use crate::{
-    model::Shape,
+    model::ModelShape,
     train::context::{Quantization, QuantizationPhase, pcg_hash},
 };
 
@@ -53,7 +53,7 @@ pub(super) fn widths(by: &Quantization, steps: [f64; 3]) -> [f64; 3] {
 }
 
 /// The group of a column, or none if it belongs to a masked offset.
-pub(super) fn group(shape: Shape, column: usize, mask: u32) -> Option<usize> {
+pub(super) fn group(shape: ModelShape, column: usize, mask: u32) -> Option<usize> {
     if column < shape.scaling_column() {
         Some(0)
     } else if column < shape.offset_column() {

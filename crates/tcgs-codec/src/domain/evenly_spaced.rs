@@ -1,7 +1,7 @@
 //! A few of many, evenly along their order.
 
 /// At most `most` of `all`, evenly along their order, from the first on.
-pub fn spread<T>(all: &[T], most: usize) -> impl ExactSizeIterator<Item = &T> {
+pub fn evenly_spaced<T>(all: &[T], most: usize) -> impl ExactSizeIterator<Item = &T> {
     let count = all.len().min(most);
     (0..count).map(move |place| &all[place * all.len() / count])
 }
@@ -13,7 +13,7 @@ mod tests {
     #[test]
     fn what_is_taken_is_spread_from_the_first_on() {
         let taken = |all: usize, most: usize| -> Vec<usize> {
-            spread(&(0..all).collect::<Vec<_>>(), most).copied().collect()
+            evenly_spaced(&(0..all).collect::<Vec<_>>(), most).copied().collect()
         };
         assert_eq!(taken(10, 4), [0, 2, 5, 7]);
         assert_eq!(taken(3, 8), [0, 1, 2]);

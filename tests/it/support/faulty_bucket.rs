@@ -77,12 +77,12 @@ impl Plan {
 
 /// The bucket.
 #[derive(Debug, Clone)]
-pub struct FaultStore {
+pub struct FaultyBucket {
     inner: Arc<dyn ObjectStore>,
     plan: Arc<Plan>,
 }
 
-impl FaultStore {
+impl FaultyBucket {
     pub fn new(inner: Arc<dyn ObjectStore>) -> Self {
         Self { inner, plan: Arc::default() }
     }
@@ -119,14 +119,14 @@ fn listing(prefix: Option<&Path>) -> String {
     format!("list {}", prefix.map(Path::as_ref).unwrap_or_default())
 }
 
-impl fmt::Display for FaultStore {
+impl fmt::Display for FaultyBucket {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         self.inner.fmt(f)
     }
 }
 
 #[async_trait]
-impl ObjectStore for FaultStore {
+impl ObjectStore for FaultyBucket {
     async fn put_opts(&self, location: &Path, payload: PutPayload, opts: PutOptions) -> Result<PutResult> {
         let held = self.plan.held.lock().expect("not poisoned").take();
         if let Some((ask, released)) = held {

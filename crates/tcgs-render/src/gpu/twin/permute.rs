@@ -1,6 +1,6 @@
-//! Which part of the work a workgroup does: `shaders/shared/spread.wgsl`.
+//! Which part of the work a workgroup does: `shaders/shared/permute.wgsl`.
 
-/// Which of `count` parts of the work a workgroup does on a software adapter (`shaders/shared/spread.wgsl`): parts in order, dealt out
+/// Which of `count` parts of the work a workgroup does on a software adapter (`shaders/shared/permute.wgsl`): parts in order, dealt out
 /// alternately four times.
 #[must_use]
 pub fn part_of(workgroup: u32, count: u32) -> u32 {
@@ -30,7 +30,7 @@ mod tests {
     #[test]
     fn kernels_deal_out_parts_as_their_variant_does() {
         const TEXT: &str = "
-            #import tcgs::spread::part_of
+            #import tcgs::permute::part_of
             @group(0) @binding(0) var<storage, read_write> parts: array<u32>;
             @compute @workgroup_size(1)
             fn deal(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: vec3u) {

@@ -1,4 +1,4 @@
-#define_import_path tcgs::spread
+#define_import_path tcgs::permute
 
 #import tcgs::index::group_index
 
