@@ -16,6 +16,7 @@ use crate::support::{
     database::Database,
     eventually::{eventually, within},
     fakes::FakeRunner,
+    faults::Failing,
     postgres::Cluster,
     server::{Server, Setup, quick_policy, quick_worker},
 };
@@ -155,6 +156,7 @@ async fn a_server_that_is_gone_is_503_and_everything_goes_on_once_it_is_back() {
     let state = async || server.get(&job).await.json()["state"].clone();
     eventually("the job is done", async || state().await == "succeeded").await;
 
+    server.faults.set(Some(Failing::Stopped));
     cluster.stop();
     for path in ["/v1/jobs", &job] {
         let answer = server.get(path).await.expect(503);
@@ -167,6 +169,7 @@ async fn a_server_that_is_gone_is_503_and_everything_goes_on_once_it_is_back() {
     server.get("/healthz").await.expect(200);
 
     cluster.restart();
+    server.faults.set(None);
     eventually("it is ready again", async || server.get("/readyz").await.status == 200).await;
     server.get(&job).await.expect(200);
     let next = server.upload("", "succeed").await.expect(201).json();

@@ -19,6 +19,8 @@ pub enum Failing {
     FullForProbes,
     /// Like one that does not answer in time: what creates something has failed, and is done once the test says so.
     Late,
+    /// As they do: the test itself has stopped the server of the database.
+    Stopped,
 }
 
 /// Lets calls of a store fail, and counts them.
@@ -77,7 +79,7 @@ impl StoreFaults for PlannedFaults {
             (Failing::Late, "create_job" | "create_dataset" | "add_export") => {
                 Some(sqlx::Error::Io(io::ErrorKind::TimedOut.into()))
             }
-            (Failing::FullForEnds | Failing::FullForProbes | Failing::Late, _) => None,
+            (Failing::FullForEnds | Failing::FullForProbes | Failing::Late | Failing::Stopped, _) => None,
         });
         *self.calls.lock().expect("not poisoned").entry((method, error.is_some())).or_default() += 1;
         error.map(StoreError::Database)
