@@ -12,7 +12,7 @@ folder=$target/tools/cargo-deny-$version
 cd "$root"
 if [ ! -x "$folder/bin/cargo-deny" ]; then
     # Without optimization: it builds in two minutes on two cores, and checks in six seconds.
-    CARGO_TARGET_DIR=$target/tools/build-deny cargo install --quiet --locked --debug --root "$folder" --version "$version" cargo-deny >&2
+    CARGO_TARGET_DIR=$target/tools/build-deny CARGO_PROFILE_DEV_DEBUG=0 cargo install --quiet --locked --debug --root "$folder" --version "$version" cargo-deny >&2
     rm -rf "$target/tools/build-deny"
 fi
 deny() { "$folder/bin/cargo-deny" --locked --log-level error "$@"; }
