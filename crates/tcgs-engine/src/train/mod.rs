@@ -4,6 +4,7 @@
 //! sum on the device has a fixed order.
 
 mod adam;
+mod anchor_stage;
 mod anchor_trainer;
 mod base_quant_steps;
 mod batch;
@@ -34,7 +35,6 @@ mod statistics;
 mod trained;
 mod trainer;
 pub mod twin;
-mod two_stage;
 mod typical_distance;
 mod wavelet;
 

@@ -99,6 +99,11 @@ pub(super) trait ModelTrainer {
     /// Whether the schedule wants [`ModelTrainer::adapt`] after a step.
     fn adapts(&self, step: &Step) -> bool;
 
+    /// The trainer that takes over after a step, before it adapts, where another stage of the run begins. Waits for the device.
+    fn successor(&self, _step: &Step, _rng: &mut Pcg64) -> Result<Option<Box<dyn ModelTrainer>>> {
+        Ok(None)
+    }
+
     /// Grows, prunes and resets after a submitted step. May wait for the device; ends as [`super::TrainError::Cancelled`] if the run
     /// is cancelled during a long pass over `views`.
     fn adapt(&mut self, step: &Step, rng: &mut Pcg64, views: &mut Views<'_>) -> Result<()>;

@@ -9,6 +9,7 @@ use rand_pcg::Pcg64;
 
 use super::{
     Adam, AdamStep, CheckpointError, Moments, Result, Schedule, TrainError,
+    anchor_stage::AnchorStage,
     checkpoint::ModelState,
     model_trainer::{BitrateSample, FigureBuffers, FinishedModel, ModelSize, ModelTrainer, Step, Views},
     schedule::PlainSchedule,
@@ -45,6 +46,8 @@ pub(super) struct PlainTrainer {
     statistics: Buffer<f32>,
     plain: PlainGaussians,
     adam: Adam,
+    /// Where the Gaussians are the first stage of an anchor model.
+    next: Option<AnchorStage>,
 }
 
 impl PlainTrainer {
@@ -72,7 +75,13 @@ impl PlainTrainer {
             plain: PlainGaussians::new(Arc::clone(device), NearPlane::of_extent(extent).depth())?,
             adam: Adam::new(device)?,
             device: Arc::clone(device),
+            next: None,
         })
+    }
+
+    /// The same as the first stage of an anchor model.
+    pub(super) fn followed_by(self, next: AnchorStage) -> Self {
+        Self { next: Some(next), ..self }
     }
 
     /// The trainer with the state that [`ModelTrainer::save`] returned.
@@ -117,17 +126,13 @@ impl PlainTrainer {
             plain,
             adam: Adam::new(device)?,
             device: Arc::clone(device),
+            next: None,
         })
     }
 
     /// Whether a state is of plain Gaussians.
     pub(super) fn saved(state: &ModelState) -> bool {
         state.has(ROWS[0])
-    }
-
-    /// The Gaussians. Waits for the device.
-    pub(super) fn rows(&self) -> Result<GaussianRows> {
-        Ok(self.rows.download(&self.device)?)
     }
 
     fn base_learning_rates(&self, fraction: f64) -> [f32; BASE] {
@@ -227,10 +232,21 @@ impl ModelTrainer for PlainTrainer {
     fn reschedule(&mut self, schedule: &Schedule) {
         let max_gaussians = self.schedule.max_gaussians;
         self.schedule = PlainSchedule { max_gaussians, ..schedule.plain.clone() };
+        if let Some(next) = &mut self.next {
+            next.reschedule(schedule);
+        }
     }
 
     fn adapts(&self, step: &Step) -> bool {
-        self.schedule.densifies(step.number) || self.schedule.resets(step.number)
+        self.next.as_ref().is_some_and(|next| next.begins_after(step))
+            || self.schedule.densifies(step.number)
+            || self.schedule.resets(step.number)
+    }
+
+    fn successor(&self, step: &Step, rng: &mut Pcg64) -> Result<Option<Box<dyn ModelTrainer>>> {
+        let Some(next) = self.next.as_ref().filter(|next| next.begins_after(step)) else { return Ok(None) };
+        let gaussians = self.rows.download(&self.device)?;
+        Ok(Some(Box::new(next.begin(&self.device, &gaussians, step, rng)?)))
     }
 
     fn adapt(&mut self, step: &Step, rng: &mut Pcg64, _views: &mut Views<'_>) -> Result<()> {

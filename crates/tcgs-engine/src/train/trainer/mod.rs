@@ -13,6 +13,7 @@ use rand_pcg::Pcg64;
 use super::{
     Checkpoint, CheckpointSink, Estimate, ImageLoss, LossSums, Needs, RateControl, Result, Schedule,
     TrainError, WaveletWeights,
+    anchor_stage::AnchorStage,
     anchor_trainer::AnchorTrainer,
     batch::{Batch, Flight, REPORT_INTERVAL},
     checkpoint::{ModelState, RunIdentity, RunState},
@@ -23,7 +24,6 @@ use super::{
     scene_extent::scene_extent,
     scene_frame::{Points, TrainingSet, scene_frame},
     trained::Trained,
-    two_stage::TwoStageTrainer,
 };
 use crate::{
     domain::{
@@ -186,7 +186,7 @@ impl ModelFactory<'_> {
                 if schedule.plain_until > 0 {
                     let first =
                         PlainTrainer::new(device, schedule.plain.clone(), positions, colors, extent, rng)?;
-                    Box::new(TwoStageTrainer::new(device, schedule, first, extent))
+                    Box::new(first.followed_by(AnchorStage::new(schedule, extent)))
                 } else {
                     Box::new(AnchorTrainer::new(device, schedule, points.as_ref(), extent, rng)?)
                 }
@@ -202,8 +202,11 @@ impl ModelFactory<'_> {
         let Self { device, set, schedule } = self;
         let extent = scene_extent(set);
         Ok(match schedule.model {
-            ModelKind::Tcgs | ModelKind::Scaffold if schedule.plain_until > 0 => {
-                Box::new(TwoStageTrainer::resume(device, schedule, extent, state)?)
+            ModelKind::Tcgs | ModelKind::Scaffold
+                if schedule.plain_until > 0 && PlainTrainer::saved(&state) =>
+            {
+                let first = PlainTrainer::resume(device, schedule.plain.clone(), extent, state)?;
+                Box::new(first.followed_by(AnchorStage::new(schedule, extent)))
             }
             ModelKind::Tcgs | ModelKind::Scaffold => {
                 Box::new(AnchorTrainer::resume(device, schedule, extent, state)?)
@@ -525,6 +528,9 @@ impl Run {
             }
             if pauses {
                 if self.model.adapts(&last) {
+                    if let Some(next) = self.model.successor(&last, &mut self.state.rng)? {
+                        self.model = next;
+                    }
                     let views = &mut Views { raster: &mut self.raster, frames: &self.frames, cancel };
                     self.model.adapt(&last, &mut self.state.rng, views)?;
                 }
