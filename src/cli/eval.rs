@@ -3,12 +3,10 @@
 use std::{collections::HashSet, path::PathBuf, time::Instant};
 
 use serde::Serialize;
-use tcgs::{
-    domain::{
-        Background, ByteCounts, Conventions, Digest, Image, Scores, ViewScore, dataset::without_extension,
-    },
-    eval::Lpips,
+use tcgs::domain::{
+    Background, ByteCounts, Conventions, Digest, Image, Scores, ViewScore, dataset::without_extension,
 };
+use tcgs_lab::lpips::Lpips;
 
 use super::{
     CliError, Report, adapter::AdapterFlag, exif::ExifFlag, files, lpips::LpipsFlag, notice::notice, picture,

@@ -79,7 +79,7 @@ const EXTERNAL: &[(&str, &[&str])] = &[
     ("kiddo", &["init"]),
     ("jpeg_encoder", &["picture"]),
     ("crc32fast", &["picture"]),
-    ("ndarray", &["eval"]),
+    ("ndarray", &["lpips"]),
     ("flate2", &["export"]),
     ("zstd", &["export"]),
     ("toml", &["cli", "report"]),

@@ -3,6 +3,8 @@
 //! A program needs [`Dataset::load`], [`Trainer`] and [`encode`]; [`Pipeline`] does all three and measures the file. Rendering is the
 //! crate `tcgs-render`. Modules that this page does not list serve the service and the laboratory of `tcgs`, and change without notice.
 
+#![warn(missing_docs)]
+
 pub mod domain;
 #[doc(hidden)]
 pub mod eval;

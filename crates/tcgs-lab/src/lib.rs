@@ -5,4 +5,5 @@
 pub mod accuracy;
 pub mod bjontegaard;
 pub mod context_trials;
+pub mod lpips;
 pub mod report;

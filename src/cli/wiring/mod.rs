@@ -24,7 +24,9 @@ use tcgs::{
         AnchorScene, Background, Dataset, DatasetSummary, ExifOrientation, Image, MemoryLimits, NamedCamera,
         Problem, ProblemType, Scene, Scores, Split,
     },
-    eval::{InFlight, Lpips, ViewTasks, band_errors, for_each_view, mean_scores_with, score_view},
+    eval::{
+        InFlight, PerceptualDistance, ViewTasks, band_errors, for_each_view, mean_scores_with, score_view,
+    },
     export::anchors,
     gpu::AdapterChoice,
     ingest::{self, LoadBudget},
@@ -32,6 +34,7 @@ use tcgs::{
     render::{RenderViews, SceneViewer},
     train::{CheckpointError, CheckpointFolder},
 };
+use tcgs_lab::lpips::Lpips;
 
 pub(crate) use keys::{
     WithoutKeys, change_key, change_project, create_key, create_project, keys, projects, revoke_key,
@@ -179,7 +182,9 @@ pub(crate) fn runner(
     spill: PathBuf,
     lpips: Option<Lpips>,
 ) -> Pipeline {
-    Pipeline::new(adapter.clone()).within(memory, spill).with_lpips(lpips)
+    Pipeline::new(adapter.clone())
+        .within(memory, spill)
+        .with_lpips(lpips.map(|lpips| Box::new(lpips) as Box<dyn PerceptualDistance>))
 }
 
 /// The weights of LPIPS in a file, if one is named.

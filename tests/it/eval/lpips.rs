@@ -4,10 +4,8 @@
 
 use safetensors::Dtype;
 use serde::Deserialize;
-use tcgs::{
-    domain::{Image, LpipsNetwork, Problem},
-    eval::{Lpips, LpipsError},
-};
+use tcgs::domain::{Image, LpipsNetwork, Problem};
+use tcgs_lab::lpips::{Lpips, LpipsError};
 
 use crate::support::lpips::{Tensor, as_torchvision_does, file, splitmix, weights};
 

@@ -1,7 +1,7 @@
 //! Renders frames of a dataset and compares them with their photographs.
 
 use super::{
-    Lpips,
+    PerceptualDistance,
     overlap::{InFlight, ViewTasks, for_each_view},
     psnr, score_view,
 };
@@ -21,19 +21,25 @@ pub struct ViewMeasurement<'a, E> {
 }
 
 impl<E: From<RenderError> + Send> ViewMeasurement<'_, E> {
-    /// PSNR and SSIM of each frame, and LPIPS where there are weights for it. A frame that LPIPS cannot compare has none; the log says
+    /// PSNR and SSIM of each frame, and LPIPS where it is measured. A frame that it cannot compare has none; the log says
     /// why.
     ///
     /// # Errors
     /// Errors of the renderer and of `before_each`; a photograph that cannot be read back.
-    pub fn scores(self, frames: &[&Frame], lpips: Option<&Lpips>) -> Result<Vec<ViewScore>, E> {
+    pub fn scores(
+        self,
+        frames: &[&Frame],
+        lpips: Option<&dyn PerceptualDistance>,
+    ) -> Result<Vec<ViewScore>, E> {
         // LPIPS has some 300 bytes a pixel.
         let in_flight = if lpips.is_some() { InFlight::One } else { InFlight::Several };
         self.compare(frames, in_flight, &|frame, render, photograph| {
             let mut score = score_view(&frame.name, render, photograph)?;
             score.lpips = lpips.and_then(|lpips| {
                 let distance = lpips.distance(render, photograph);
-                distance.inspect_err(|error| tracing::warn!("{}: no LPIPS: {error}", frame.name)).ok()
+                distance
+                    .inspect_err(|error| tracing::warn!("{}: no LPIPS: {}", frame.name, error.detail))
+                    .ok()
             });
             Some(score)
         })

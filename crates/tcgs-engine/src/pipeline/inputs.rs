@@ -7,7 +7,7 @@ use jiff::SignedDuration;
 use super::error::JobError;
 use crate::{
     domain::{CancelFlag, Dataset, Frame, MemoryBudget, Split, TrainOptions, evenly_spaced::evenly_spaced},
-    eval::Lpips,
+    eval::PerceptualDistance,
     gpu::Device,
     train::Trainer,
 };
@@ -27,8 +27,8 @@ pub(super) struct RunInputs<'a> {
     pub(super) dataset: &'a Dataset,
     pub(super) budget: MemoryBudget,
     pub(super) cancel: &'a CancelFlag,
-    /// Weights of LPIPS, if it is measured.
-    pub(super) lpips: Option<&'a Lpips>,
+    /// LPIPS, if it is measured.
+    pub(super) lpips: Option<&'a dyn PerceptualDistance>,
     /// Views that the renderer is held to the f64 reference on, if it is.
     pub(super) reference: Option<ReferenceViews>,
     /// Time between two checkpoints, if it is not the usual one.

@@ -8,7 +8,7 @@ use super::{
 };
 use crate::{
     domain::{Background, Conventions, Frame, JobMetrics, PhaseSeconds, Scene, Scores},
-    eval::{Lpips, ViewMeasurement, mean_scores_with},
+    eval::{PerceptualDistance, ViewMeasurement, mean_scores_with},
     export::world::{Origin, in_world_units},
     render::Renderer,
     train::Trained,
@@ -36,7 +36,7 @@ pub(super) fn measure(
     let mut score = |frames: &[&Frame]| -> Result<Scores, JobError> {
         let (renderer, before_each) = (&mut renderer, &mut before_each);
         let views = ViewMeasurement { renderer, background, before_each }.scores(frames, inputs.lpips)?;
-        Ok(mean_scores_with(&views, inputs.lpips.map(Lpips::network)))
+        Ok(mean_scores_with(&views, inputs.lpips.map(PerceptualDistance::network)))
     };
     let held_out = inputs.test_views();
     let test = score(&held_out)?;
@@ -72,7 +72,7 @@ pub(super) fn measure(
         decode_sha256: file.decode_sha256,
         adapter: inputs.device.adapter_line(),
         background,
-        conventions: Conventions::new(inputs.lpips.map(Lpips::network)),
+        conventions: Conventions::new(inputs.lpips.map(PerceptualDistance::network)),
         byte_budget: written.budget,
         convergence: trained.convergence.clone(),
         coding: written.coding,

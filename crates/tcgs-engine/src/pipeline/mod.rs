@@ -47,7 +47,7 @@ use crate::{
         CancelFlag, Dataset, ExifOrientation, FailurePoint, MemoryBudget, MemoryLimits, NamedCamera, Phase,
         Progress, TrainOptions, failure_point::reach,
     },
-    eval::Lpips,
+    eval::PerceptualDistance,
     gpu::{AdapterChoice, Device, DeviceSettings, GpuError, Profile, RecordingProfile},
     ingest::{self, LoadBudget},
     train::Schedule,
@@ -59,7 +59,7 @@ pub struct Pipeline {
     adapter: AdapterChoice,
     memory: MemoryLimits,
     spill_dir: PathBuf,
-    lpips: Option<Lpips>,
+    lpips: Option<Box<dyn PerceptualDistance>>,
     has_held_out_pictures: bool,
     reference: Option<ReferenceViews>,
     checkpoint_every: Option<SignedDuration>,
@@ -90,9 +90,9 @@ impl Pipeline {
         Self { memory, spill_dir, ..self }
     }
 
-    /// Also measures LPIPS, if there are weights for it.
+    /// Also measures LPIPS, if there is a measure of it.
     #[must_use]
-    pub fn with_lpips(self, lpips: Option<Lpips>) -> Self {
+    pub fn with_lpips(self, lpips: Option<Box<dyn PerceptualDistance>>) -> Self {
         Self { lpips, ..self }
     }
 
@@ -175,7 +175,7 @@ impl RunJob for Pipeline {
             tracing::info!("dataset: {note}");
         }
         let ingest_seconds = began.elapsed().as_secs_f64();
-        let lpips = self.lpips.as_ref();
+        let lpips = self.lpips.as_deref();
         let Self { reference, checkpoint_every, .. } = *self;
         let inputs = RunInputs {
             device,

@@ -3,7 +3,7 @@
 use safetensors::{Dtype, SafeTensorError};
 use thiserror::Error;
 
-use crate::domain::{LpipsNetwork, Problem, ProblemType};
+use tcgs_codec::domain::{LpipsNetwork, Problem, ProblemType};
 
 /// Why there is no LPIPS figure.
 #[derive(Debug, Error)]

@@ -9,7 +9,7 @@ use super::{
     rows::Convolution,
     stage::LpipsStage,
 };
-use crate::domain::LpipsNetwork;
+use tcgs_codec::domain::LpipsNetwork;
 
 /// The network in the bytes of a safetensors file.
 pub(super) fn read(bytes: &[u8]) -> Result<Lpips, LpipsError> {

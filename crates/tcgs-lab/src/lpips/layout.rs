@@ -2,7 +2,7 @@
 
 use std::ops::Range;
 
-use crate::domain::LpipsNetwork;
+use tcgs_codec::domain::LpipsNetwork;
 
 /// Layers whose features are compared.
 pub(super) const LAYERS: usize = 5;

@@ -21,7 +21,8 @@ use layout::{LAYERS, StageLayout};
 use rows::Rows;
 use stage::LpipsStage;
 
-use crate::domain::{Image, LpipsNetwork};
+use tcgs_codec::domain::{Image, LpipsNetwork, Problem};
+use tcgs_engine::eval::PerceptualDistance;
 
 /// A network with its weights, ready to compare images.
 #[derive(Debug)]
@@ -32,6 +33,16 @@ pub struct Lpips {
     /// What inputs are then divided by.
     scale: [f32; 3],
     stages: Vec<LpipsStage>,
+}
+
+impl PerceptualDistance for Lpips {
+    fn network(&self) -> LpipsNetwork {
+        self.network
+    }
+
+    fn distance(&self, a: &Image, b: &Image) -> Result<f64, Problem> {
+        Ok(Self::distance(self, a, b)?)
+    }
 }
 
 impl Lpips {
