@@ -45,15 +45,11 @@ impl JobState {
 /// A job.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Job {
-    /// Identity.
     pub id: JobId,
-    /// State.
     pub state: JobState,
     /// Stage within the state.
     pub phase: Phase,
-    /// Its options.
     pub options: TrainOptions,
-    /// Latest progress.
     pub progress: Progress,
     /// Metrics, once succeeded.
     pub metrics: Option<JobMetrics>,
@@ -65,11 +61,9 @@ pub struct Job {
     pub cancel_requested: bool,
     /// Row version, raised by every change.
     pub version: u64,
-    /// Creation.
     pub created_at: Timestamp,
     /// Start of the latest attempt.
     pub started_at: Option<Timestamp>,
-    /// End.
     pub finished_at: Option<Timestamp>,
 }
 
@@ -92,13 +86,10 @@ named_choice! {
 pub struct Event {
     /// Position in the job's history.
     pub seq: u64,
-    /// When.
     pub at: Timestamp,
-    /// What kind.
     pub kind: EventKind,
     /// The attempt that it belongs to.
     pub attempt: u32,
-    /// Kind-specific content.
     pub data: serde_json::Value,
 }
 

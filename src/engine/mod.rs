@@ -17,7 +17,6 @@ use crate::{
 /// The file of a finished scene.
 #[derive(Clone, Copy)]
 pub struct SceneSource<'a> {
-    /// Its hash.
     pub digest: Digest,
     /// Reads it; blocks.
     pub read: &'a dyn Fn() -> Result<Bytes, Problem>,

@@ -20,9 +20,7 @@ pub struct Services {
     pub store: Arc<Store>,
     /// Datasets and results.
     pub blobs: Blobs,
-    /// Time.
     pub clock: Arc<dyn Clock>,
-    /// Cryptographic randomness.
     pub entropy: Arc<dyn RandomSource>,
     /// Checks, views and exports.
     pub engine: Arc<dyn SceneEngine>,

@@ -49,7 +49,6 @@ pub struct ViewerConfig {
     pub renders_waiting: usize,
     /// Exports made at a time; more wait.
     pub exports: usize,
-    /// Exports that wait.
     pub exports_waiting: usize,
 }
 
@@ -62,7 +61,6 @@ impl Default for ViewerConfig {
 
 /// The services of a viewer.
 pub struct ViewerServices {
-    /// Scenes.
     pub blobs: Blobs,
     /// Renders and exports.
     pub engine: Arc<dyn SceneEngine>,

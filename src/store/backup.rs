@@ -39,7 +39,6 @@ pub struct BackupNote {
     pub version: String,
     /// Files that the database refers to.
     pub blobs: u64,
-    /// Their bytes.
     pub bytes: u64,
 }
 

@@ -10,7 +10,6 @@ use crate::domain::{DatasetId, DatasetSummary, ProjectId, UploadId};
 pub struct NewDataset {
     /// Its identity, chosen by the caller.
     pub id: DatasetId,
-    /// Its project.
     pub project: ProjectId,
     /// Its name, chosen by its user.
     pub name: Option<String>,
@@ -27,9 +26,7 @@ pub struct NewDataset {
 /// A stored dataset.
 #[derive(Debug, Clone, PartialEq)]
 pub struct DatasetRecord {
-    /// Identity.
     pub id: DatasetId,
-    /// Its project.
     pub project: ProjectId,
     /// Its name, chosen by its user.
     pub name: Option<String>,
@@ -39,7 +36,6 @@ pub struct DatasetRecord {
     pub summary: DatasetSummary,
     /// Row version, incremented by every change.
     pub version: u64,
-    /// Creation.
     pub created_at: Timestamp,
 }
 
@@ -65,7 +61,6 @@ impl DatasetCreation {
 /// Result of a request to delete a dataset.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum DatasetDeletion {
-    /// It was deleted.
     Deleted,
     /// This many queued or running jobs train on it.
     InUse(u64),

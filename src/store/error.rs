@@ -14,7 +14,6 @@ pub enum StoreError {
     /// The job is not running the attempt that the worker was given: it was reclaimed, ended or cancelled.
     #[error("attempt {attempt} no longer holds job {job}")]
     LeaseLost {
-        /// The job.
         job: JobId,
         /// The attempt that the worker was given.
         attempt: u32,
@@ -31,7 +30,6 @@ pub enum StoreError {
         requested: u64,
         /// Bytes stored or reserved.
         used: u64,
-        /// The quota.
         quota: u64,
     },
     /// The project has its maximum of active jobs.
@@ -65,7 +63,6 @@ pub enum StoreError {
     Corrupt {
         /// Table and column.
         what: &'static str,
-        /// Why.
         error: String,
     },
     /// The database does not open.
@@ -73,7 +70,6 @@ pub enum StoreError {
     Open {
         /// Where it is.
         path: String,
-        /// Why.
         #[source]
         source: sqlx::Error,
     },

@@ -10,7 +10,6 @@ pub struct ExportRecord {
     pub job: JobId,
     /// The job's file that it was converted from.
     pub source: Digest,
-    /// Its format.
     pub format: SceneFormat,
     /// Its content.
     pub blob: BlobRef,
@@ -27,7 +26,6 @@ pub struct ExportRecord {
 pub struct FileRecord {
     /// The job; the newest, if several have the same file.
     pub job: JobId,
-    /// Its kind.
     pub kind: ArtifactKind,
     /// As in [`super::Artifact::lambda`].
     pub lambda: Option<f64>,

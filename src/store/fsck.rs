@@ -20,7 +20,6 @@ pub(super) const BATCH: u32 = 500;
 pub struct FsckReport {
     /// Files that the database refers to.
     pub blobs: u64,
-    /// Their bytes.
     pub bytes: u64,
     /// Whether their content was read, not only their lengths.
     pub content_checked: bool,

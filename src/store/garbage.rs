@@ -54,7 +54,6 @@ impl GarbagePolicy {
 pub struct Collected {
     /// Expired uploads.
     pub uploads: usize,
-    /// Blobs.
     pub blobs: usize,
     /// Bytes of those blobs.
     pub bytes: u64,

@@ -32,7 +32,6 @@ impl Default for KeyProject {
 /// What a key is to be.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct KeyRequest<'a> {
-    /// Its name.
     pub name: &'a str,
     /// What its holder may do.
     pub scopes: &'a [Scope],
@@ -49,13 +48,10 @@ pub struct KeyRequest<'a> {
 pub struct NewKey {
     /// Its identity, chosen by the caller; keys are listed in the order of these.
     pub id: KeyId,
-    /// Its project.
     pub project: KeyProject<NewProject>,
-    /// Its name.
     pub name: String,
     /// The part of the key that may be shown.
     pub prefix: String,
-    /// Hash of the key.
     pub hash: KeyHash,
     /// What its holder may do.
     pub scopes: Vec<Scope>,
@@ -140,7 +136,6 @@ fn expect_future(expires_at: Option<Timestamp>, now: Timestamp) -> Result<(), Ne
 /// What changes of a key; fields that are `None` stay as they are when the change is made.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct KeyChange {
-    /// Its name.
     pub name: Option<String>,
     /// As in [`KeyRequest::requests_per_minute`].
     pub requests_per_minute: Option<Option<NonZeroU32>>,
@@ -176,11 +171,9 @@ pub struct KeyRecord {
     pub prefix: String,
     /// As in [`NewKey::scopes`].
     pub scopes: Vec<Scope>,
-    /// Its project.
     pub project_id: ProjectId,
     /// As in [`KeyRequest::requests_per_minute`].
     pub requests_per_minute: Option<NonZeroU32>,
-    /// Creation.
     pub created_at: Timestamp,
     /// Its last use, to about a minute.
     pub last_used_at: Option<Timestamp>,

@@ -17,9 +17,7 @@ use crate::domain::{
 pub struct NewProject {
     /// Its identity, chosen by the caller; projects are listed in the order of these.
     pub id: ProjectId,
-    /// Its name.
     pub name: String,
-    /// Its limits.
     pub limits: ProjectLimits,
 }
 
@@ -86,16 +84,13 @@ pub struct ProjectRecord {
     /// Row version, incremented by every change.
     #[serde(skip)]
     pub version: u64,
-    /// Creation.
     pub created_at: Timestamp,
 }
 
 /// Name and limits of a project, as they are to be.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct ProjectChange {
-    /// Its name.
     pub name: String,
-    /// Its limits.
     pub limits: ProjectLimits,
 }
 

@@ -29,9 +29,7 @@ pub struct Announcement {
 /// A blob marked for removal, whose object is to be deleted now.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Removal {
-    /// The row.
     pub(super) row: i64,
-    /// The blob.
     pub blob: BlobRef,
 }
 
@@ -49,7 +47,6 @@ pub enum Removable {
 pub enum BlobPlace {
     /// In the data folder.
     Folder,
-    /// In a bucket.
     Bucket,
 }
 

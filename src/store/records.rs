@@ -24,7 +24,6 @@ pub struct BlobRef {
 pub struct NewJob {
     /// Its identity, chosen by the caller.
     pub id: JobId,
-    /// Its project.
     pub project: ProjectId,
     /// The key that creates it; `None` without keys.
     pub key: Option<KeyId>,
@@ -38,7 +37,6 @@ pub struct NewJob {
     pub retry_of: Option<JobId>,
     /// When it fails if it is not finished by then.
     pub deadline_at: Option<Timestamp>,
-    /// Its options.
     pub options: TrainOptions,
     /// The dataset archive, already published.
     pub dataset: BlobRef,
@@ -101,7 +99,6 @@ impl ArtifactKind {
 /// A blob that a finished job refers to.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Artifact {
-    /// Its kind.
     pub kind: ArtifactKind,
     /// The weight of the rate term that it was trained with, if it belongs to a rate-distortion curve.
     pub lambda: Option<f64>,
@@ -112,7 +109,6 @@ pub struct Artifact {
 /// A file of a finished scene.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SceneArtifact {
-    /// Its format.
     pub format: SceneFormat,
     /// As in [`Artifact::lambda`].
     pub lambda: Option<f64>,
@@ -123,9 +119,7 @@ pub struct SceneArtifact {
 /// A job with its references.
 #[derive(Debug, Clone, PartialEq)]
 pub struct JobRecord {
-    /// The job.
     pub job: Job,
-    /// Its project.
     pub project: ProjectId,
     /// As in [`NewJob::key`].
     pub key: Option<KeyId>,
@@ -217,7 +211,6 @@ pub struct RemovedJobs {
 /// A worker's right to run a job; the attempt number is the fencing token.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Lease {
-    /// The job.
     pub job: JobId,
     /// The attempt that was granted.
     pub attempt: u32,
@@ -261,7 +254,6 @@ pub enum WorkerDeath {
 pub enum Outcome {
     /// With a result, whose blobs are already published.
     Succeeded {
-        /// Its metrics.
         metrics: Box<JobMetrics>,
         /// Its blobs.
         artifacts: Vec<Artifact>,
@@ -305,7 +297,6 @@ pub struct AttemptRecord {
     /// Its worker. The API does not show the name, which tells of the service's machines.
     #[serde(skip)]
     pub worker: String,
-    /// Start.
     pub started_at: Timestamp,
     /// End, if it has ended.
     pub ended_at: Option<Timestamp>,
@@ -343,7 +334,6 @@ pub enum RetryOutcome {
 /// Result of a request to delete a job.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Deletion {
-    /// It was deleted.
     Deleted,
     /// It is in this state, which is not terminal.
     Active(JobState),

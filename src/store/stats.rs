@@ -33,7 +33,6 @@ pub struct StoreStats {
     pub steps_per_second: f64,
     /// Number of blobs in the database.
     pub blobs: u64,
-    /// Their bytes.
     pub blob_bytes: u64,
     /// Webhook deliveries by state, for every state. Ended ones are kept for a while.
     pub deliveries: Vec<(DeliveryState, u64)>,

@@ -12,7 +12,6 @@ pub const MAX_OPEN_UPLOADS: u32 = 256;
 pub struct NewUpload {
     /// Its identity, chosen by the caller.
     pub id: UploadId,
-    /// Its project.
     pub project: ProjectId,
     /// Total bytes.
     pub length: u64,
@@ -25,9 +24,7 @@ pub struct NewUpload {
 /// An upload.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct UploadRecord {
-    /// Identity.
     pub id: UploadId,
-    /// Its project.
     pub project: ProjectId,
     /// Total bytes.
     pub length: u64,
@@ -37,7 +34,6 @@ pub struct UploadRecord {
     pub metadata: Option<String>,
     /// The dataset that was created from it, unless that was deleted since.
     pub dataset_id: Option<DatasetId>,
-    /// Creation.
     pub created_at: Timestamp,
     /// When it expires.
     pub expires_at: Timestamp,
@@ -65,8 +61,6 @@ pub const WRITER_LIFE: SignedDuration = SignedDuration::from_secs(60);
 /// One writer of an upload; a later one has a higher number.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct UploadWriter {
-    /// The upload.
     pub id: UploadId,
-    /// The number.
     pub number: i64,
 }

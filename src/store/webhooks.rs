@@ -39,7 +39,6 @@ pub struct EndpointRecord {
     pub events: Vec<WebhookEvent>,
     /// As in [`NewEndpoint::description`].
     pub description: Option<String>,
-    /// Creation.
     pub created_at: Timestamp,
     /// When it responded 410; it gets no messages since.
     pub disabled_at: Option<Timestamp>,
@@ -64,11 +63,8 @@ pub struct DeliveryRecord {
     pub seq: u64,
     /// Its identity.
     pub id: DeliveryId,
-    /// Its job.
     pub job: JobId,
-    /// Its event.
     pub event: WebhookEvent,
-    /// Its state.
     pub state: DeliveryState,
     /// Attempts started.
     pub attempts: u32,

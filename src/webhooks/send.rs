@@ -60,7 +60,6 @@ pub enum SendError {
 /// An endpoint's response; its body is not read.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) struct Response {
-    /// The status.
     pub(super) status: u16,
     /// The `Retry-After` header, if there was one.
     pub(super) retry_after: Option<String>,

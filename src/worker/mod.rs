@@ -93,9 +93,7 @@ pub enum WorkerError {
     /// A run makes no progress; only the end of the process stops it.
     #[error("attempt {attempt} of job {job} has stalled: no progress for {} s", limit.as_secs())]
     Stalled {
-        /// The job.
         job: JobId,
-        /// The attempt.
         attempt: u32,
         /// [`WorkerConfig::stall_limit`].
         limit: Duration,

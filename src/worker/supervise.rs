@@ -33,7 +33,6 @@ use crate::{
 pub struct SuperviseConfig {
     /// The worker's program.
     pub program: PathBuf,
-    /// Its arguments.
     pub arguments: Vec<OsString>,
     /// Variables added to its environment.
     pub environment: Vec<(OsString, OsString)>,

@@ -28,6 +28,8 @@
 //! away from their symbols. [`decode`] compares the result with the hash that the encoder stored. Threads come from
 //! rayon's current pool; where the target has no threads, everything runs on the calling one.
 
+#![warn(missing_docs)]
+
 mod adaptive;
 mod alloc;
 mod attributes;

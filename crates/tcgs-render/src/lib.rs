@@ -3,6 +3,8 @@
 //!
 //! Whatever returns a [`RenderError`] can fail with a fault of the device; sections of errors name what else there is.
 
+#![warn(missing_docs)]
+
 mod dense;
 mod dense_layer;
 mod dense_software;

@@ -47,7 +47,6 @@ pub(crate) struct QueueLimits {
 pub(crate) enum Admission {
     /// A request for this many pictures.
     Request(usize),
-    /// A stream.
     Stream,
 }
 

@@ -34,7 +34,6 @@ pub(crate) struct CreateRequest<'a> {
 /// What a `POST` that creates something returns.
 #[derive(Debug)]
 pub(crate) enum CreateOutcome<T> {
-    /// It created this.
     Created(T),
     /// An earlier request with the same `Idempotency-Key` created this.
     Replayed(T),

@@ -57,9 +57,7 @@ pub enum ServeError {
     /// The address cannot be had.
     #[error("cannot listen on {address}")]
     Bind {
-        /// The address.
         address: SocketAddr,
-        /// Why.
         #[source]
         source: io::Error,
     },

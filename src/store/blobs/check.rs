@@ -42,7 +42,6 @@ pub enum BlobState {
 pub enum CopyMode {
     /// By a second name for the same file where the file systems allow it, else by content.
     Link,
-    /// By content.
     Content,
 }
 

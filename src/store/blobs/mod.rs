@@ -60,17 +60,13 @@ const PROBE_BYTES: usize = 4096;
 pub enum BlobError {
     /// More bytes than the limit.
     #[error("the content is longer than the limit of {limit} bytes")]
-    TooLarge {
-        /// The limit.
-        limit: u64,
-    },
+    TooLarge { limit: u64 },
     /// There is no such blob.
     #[error("there is no blob {0}")]
     Missing(Digest),
     /// Bytes of an upload that were on disk are missing.
     #[error("upload {id} has {found} bytes on disk instead of {expected}")]
     UploadDamaged {
-        /// The upload.
         id: UploadId,
         /// The recorded length.
         expected: u64,
@@ -139,7 +135,6 @@ impl BlobError {
 /// A published blob.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Published {
-    /// The blob.
     pub blob: BlobRef,
     /// When it was published, if this publication created it.
     created_at: Option<Timestamp>,

@@ -171,9 +171,7 @@ pub(super) async fn next(
 
 /// What a transaction found to claim.
 pub(super) enum Claiming<T> {
-    /// It is granted.
     Granted(T),
-    /// Nothing is due.
     NothingDue,
     /// Others took what there was in its project. Another transaction, which holds no lock of that project, can look for more.
     Overtaken,

@@ -41,7 +41,6 @@ pub struct ContextTrial {
     pub context: String,
     /// Where the bytes go.
     pub bytes: ByteCounts,
-    /// Seconds of the fit.
     pub fit_seconds: f64,
 }
 

@@ -12,7 +12,6 @@ use tcgs_engine::train::BaseQuantSteps;
 /// Anchors with one quantization step for each attribute group.
 #[derive(Debug, Clone, PartialEq)]
 pub struct TrialScene {
-    /// The anchors.
     pub scene: AnchorScene,
     /// The steps: the geometric means of the anchors' own.
     pub steps: BaseQuantSteps,

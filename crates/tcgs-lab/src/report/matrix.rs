@@ -163,7 +163,6 @@ pub struct PlannedRun {
     pub set: String,
     /// The model with its switched parts, without a weight.
     pub model: String,
-    /// Its options.
     pub options: TrainOptions,
     /// The adapter as asked for; `None` for the command's own.
     pub adapter: Option<String>,

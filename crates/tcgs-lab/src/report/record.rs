@@ -14,7 +14,6 @@ pub struct RunRecord {
     pub dataset: Digest,
     /// The model with its switched parts, without a weight.
     pub model: String,
-    /// Its options.
     pub options: TrainOptions,
     /// The adapter that was asked for.
     pub adapter: String,
@@ -48,11 +47,9 @@ pub struct RunRecord {
 /// An export and what it costs.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct ExportRecord {
-    /// Its format.
     pub format: SceneFormat,
     /// Its size.
     pub bytes: u64,
-    /// Gaussians in it.
     pub gaussians: u64,
     /// Held-out PSNR, in dB.
     pub psnr: Option<f64>,

@@ -11,7 +11,6 @@ use super::Value;
 /// A statement, or a part of one, in the spelling of each database.
 #[derive(Debug, Clone, Copy)]
 pub(in crate::store) struct Sql {
-    /// For SQLite.
     pub(in crate::store) sqlite: &'static str,
     /// For PostgreSQL.
     pub(in crate::store) postgres: &'static str,

@@ -32,7 +32,6 @@ async fn answered_within<T>(
 /// Connections to a database.
 #[derive(Debug, Clone)]
 pub(in crate::store) enum Pool {
-    /// SQLite.
     Sqlite(SqlitePool),
     /// PostgreSQL.
     Postgres(PgPool),
@@ -91,7 +90,6 @@ impl Transaction {
 pub(in crate::store) enum Target<'a> {
     /// On a connection of its own.
     Pool(&'a Pool),
-    /// In a transaction.
     Transaction(&'a mut Transaction),
 }
 

@@ -7,7 +7,6 @@ pub(in crate::store) enum Value {
     Int(Option<i64>),
     /// A number.
     Real(Option<f64>),
-    /// A text.
     Text(Option<String>),
     /// True or false; SQLite has 1 and 0.
     Bool(bool),
