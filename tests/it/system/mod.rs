@@ -22,5 +22,6 @@ mod presets;
 mod reordered;
 #[cfg(target_os = "linux")]
 mod soak;
+mod upgrade;
 mod viewer;
 mod viewers;
