@@ -5,7 +5,6 @@ use std::{fs::File, path::Path};
 
 use serde_json::Value;
 use sqlx::{Connection as _, PgConnection};
-use tcgs::domain::Digest;
 use zip::ZipArchive;
 
 use crate::support::{
@@ -21,11 +20,10 @@ fn unpack(name: &str, folder: &Path) {
     ZipArchive::new(archive).expect("a zip").extract(folder).expect("unpacked");
 }
 
-/// The file of a finished job.
-async fn file(service: &Service, job: &str) -> Digest {
+/// Reads and decodes the file of a finished job.
+async fn file(service: &Service, job: &str) {
     let answer = service.get(&format!("{job}/artifact")).await.expect(200);
-    assert!(answer.body.starts_with(b"TCGS") && answer.body.len() > 1000);
-    Digest::of(&answer.body)
+    tcgs::codec::decode(&answer.body, &tcgs::codec::DecodeLimits::default()).expect("a file");
 }
 
 /// All three jobs end well: one had ended, one goes on from its checkpoint, one begins.
