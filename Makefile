@@ -3,6 +3,9 @@
 SHELL := /bin/bash
 CARGO := . scripts/env.sh && cargo
 
+# How targets that use target/debug/tcgs build it; `make BUILD=: TARGET` takes it as the tests have built it.
+BUILD ?= $(CARGO) build --locked --quiet
+
 # Where the photo sets for `make results` are.
 DATA ?= $(or $(TCGS_SHARED),../shared)/data
 
@@ -43,7 +46,7 @@ long-results: build ## the same of benches/long.toml, whole runs of preview, int
 	$(call report,long,LONG_RUNS)
 
 gate: setup ## hold PSNR, bytes and speed of two fixed scenes to scripts/gate.json; UPDATE=1 rewrites it
-	@$(CARGO) build --locked --quiet
+	@$(BUILD)
 	@. scripts/env.sh && scripts/gate.py $(if $(UPDATE),--update)
 
 test: setup ## all tests, with a count of those that were skipped; first installs what they need, where it can
@@ -53,7 +56,7 @@ examples: setup ## run the documented session with curl and the client in Python
 	@$(CARGO) test --locked --test it examples::
 
 schemathesis: setup ## hold a running service to openapi.yaml with schemathesis, which comes through PyPI
-	@$(CARGO) build --locked --quiet
+	@$(BUILD)
 	@scripts/schemathesis.sh
 
 swiftshader: setup ## tests of kernels and whole jobs on SwiftShader, a driver with narrow limits, from a Debian package
@@ -67,15 +70,15 @@ hardware-report: ## rewrite the tables of docs/HARDWARE.md from RUNS, the JSON f
 	@scripts/hardware.py $(RUNS)
 
 validation: setup ## one short job under the Khronos validation layer, which comes from a Debian package
-	@$(CARGO) build --locked --quiet
+	@$(BUILD)
 	@scripts/validation.sh
 
 generated-client: setup ## generate a client in Python from openapi.yaml, through PyPI, and use it for a session
-	@$(CARGO) build --locked --quiet
+	@$(BUILD)
 	@scripts/generated_client.sh
 
 container-smoke: setup ## build the image of docker/Dockerfile around the debug build and use it, where podman and buildah run
-	@$(CARGO) build --locked --quiet
+	@$(BUILD)
 	@scripts/container.sh
 
 manifests: ## hold docker/kubernetes to Kubernetes' schemas, which come through PyPI
