@@ -56,9 +56,8 @@ leave() {
     submit 20 --wait >/dev/null
     submit 200 >/dev/null
     submit 20 >/dev/null
-    until find "$data/checkpoints" -type f -size +8k 2>/dev/null | grep -q .; do sleep 0.2; done
-    # The files of a checkpoint are complete once a later one replaces them.
-    sleep 4
+    # A checkpoint has its name once it is complete.
+    until find "$data/checkpoints" -name checkpoint.safetensors 2>/dev/null | grep -q .; do sleep 0.2; done
     kill -KILL "$worker" "$server"
     wait "$worker" "$server" 2>/dev/null || true
     server= worker=

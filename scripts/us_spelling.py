@@ -16,7 +16,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parent.parent
 TABLE = ROOT / "tests" / "it" / "documents" / "us_spelling.txt"
 
-# A field of metrics, a key of checkpoints, cases of the oracle, and a word of a licence's name.
+# A field of metrics, a key of checkpoints, and cases of the oracle.
 KEPT = ["psnr_before_quantisation", "context.centre", "odd_size_offcentre", "quat_unnormalised"]
 
 # Beginnings of paths.

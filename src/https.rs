@@ -83,7 +83,7 @@ pub fn client_builder_trusting(roots: &ExtraRoots) -> Result<reqwest::ClientBuil
 
 /// What was wrong with the server's certificate, if that is why the request failed.
 #[must_use]
-pub fn certificate_fault(error: &reqwest::Error) -> Option<&'static str> {
+pub fn certificate_error(error: &reqwest::Error) -> Option<&'static str> {
     let mut cause: Option<&(dyn Error + 'static)> = Some(error);
     while let Some(error) = cause {
         if let Some(rustls::Error::InvalidCertificate(error)) = error.downcast_ref() {

@@ -69,12 +69,12 @@ pub struct ViewerServices {
 }
 
 /// Work of one kind, a part of it at a time.
-struct Admission {
+struct WorkQueue {
     admitted: Arc<Semaphore>,
     running: Arc<Semaphore>,
 }
 
-impl Admission {
+impl WorkQueue {
     fn new(running: usize, waiting: usize) -> Self {
         let running = running.max(1);
         let of = |permits| Arc::new(Semaphore::new(permits));
@@ -90,8 +90,8 @@ impl Admission {
 
 struct Viewer {
     services: ViewerServices,
-    renders: Admission,
-    exports: Admission,
+    renders: WorkQueue,
+    exports: WorkQueue,
 }
 
 /// A problem as an answer.
@@ -149,8 +149,8 @@ pub async fn serve(
 fn router(services: ViewerServices, limits: ViewerConfig) -> Router {
     let viewer = Arc::new(Viewer {
         services,
-        renders: Admission::new(limits.renders, limits.renders_waiting),
-        exports: Admission::new(limits.exports, limits.exports_waiting),
+        renders: WorkQueue::new(limits.renders, limits.renders_waiting),
+        exports: WorkQueue::new(limits.exports, limits.exports_waiting),
     });
     Router::new()
         .route(RENDER, post(render).layer(DefaultBodyLimit::max(MAX_RENDER_REQUEST)))

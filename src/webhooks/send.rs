@@ -122,7 +122,7 @@ impl Sender {
             }
             source = cause.source();
         }
-        if let Some(reason) = https::certificate_fault(error) {
+        if let Some(reason) = https::certificate_error(error) {
             return SendError::Certificate(reason);
         }
         match () {

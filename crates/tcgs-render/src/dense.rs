@@ -206,16 +206,10 @@ impl HardwareLayers {
             [layer.outputs as u32, 1, NO_BIAS, 0],
             [layer.output_row as u32, layer.input_row as u32, layer.input_row as u32, 0],
         ])?;
-        let mut bindings: Vec<Binding<'_>> =
-            vec![&uniform, columns.list, parameters, d_output, d_input.buffer];
-        let mode = match d_input.relu {
-            Some(gate) => {
-                bindings.push(gate);
-                GATE
-            }
-            None => Activation::Linear as u32,
-        };
-        recorder.dispatch(&self.dense[mode as usize], &bindings, groups(columns, d_input.rows));
+        let (mode, bound) = if d_input.relu.is_some() { (GATE, 6) } else { (Activation::Linear as u32, 5) };
+        let gate = d_input.relu.unwrap_or(d_output);
+        let bindings: [Binding<'_>; 6] = [&uniform, columns.list, parameters, d_output, d_input.buffer, gate];
+        recorder.dispatch(&self.dense[mode as usize], &bindings[..bound], groups(columns, d_input.rows));
         Ok(())
     }
 

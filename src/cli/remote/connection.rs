@@ -213,7 +213,7 @@ pub(super) fn unexpected(detail: impl AsRef<str>) -> CliError {
 
 /// A transport error.
 pub(super) fn unreachable(base: &Url, error: &reqwest::Error) -> CliError {
-    let detail = match tcgs::https::certificate_fault(error) {
+    let detail = match tcgs::https::certificate_error(error) {
         Some(reason) => format!("the certificate of {base} {reason}"),
         None => format!("{base} does not answer: {}", root(error)),
     };

@@ -102,7 +102,7 @@ async fn export(
     format: SceneFormat,
 ) -> ApiResult<ExportRecord> {
     let key = (record.job.id, source, format.name());
-    state.exports.join(key, make(state.clone(), record.clone(), source, format)).await
+    state.exports.join(key, || make(state.clone(), record.clone(), source, format)).await
 }
 
 async fn existing_export(

@@ -76,20 +76,20 @@ impl ExportQueue {
         self.0.pending.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// What the export with this key makes: the one in progress, or else `make`, which goes on even if all who wait for it leave.
+    /// The result of the export with this key that is in progress, or else of the one that `make` begins. It goes on even if all who
+    /// wait for it leave.
     ///
     /// # Errors
     /// Those of `make`; 500 if it panics.
-    pub(crate) async fn join(
-        &self,
-        key: ExportKey,
-        make: impl Future<Output = ApiResult<ExportRecord>> + Send + 'static,
-    ) -> ApiResult<ExportRecord> {
+    pub(crate) async fn join<F>(&self, key: ExportKey, make: impl FnOnce() -> F) -> ApiResult<ExportRecord>
+    where
+        F: Future<Output = ApiResult<ExportRecord>> + Send + 'static,
+    {
         let begin = || {
-            let guard = PendingGuard { queue: self.clone(), key };
+            let (guard, export) = (PendingGuard { queue: self.clone(), key }, make());
             let task = tokio::spawn(async move {
                 let _guard = guard;
-                make.await
+                export.await
             });
             let ended = async { task.await.unwrap_or_else(|error| Err(ProblemResponse::internal(&error))) };
             ended.boxed().shared()

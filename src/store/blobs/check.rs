@@ -103,7 +103,7 @@ async fn length(path: &Path) -> Result<Option<u64>, BlobError> {
 impl Blobs {
     /// The blob's own file, whether it is there or not; `None` if blobs are no files.
     fn file(&self, digest: Digest) -> Option<PathBuf> {
-        match &self.0.keeper {
+        match &self.0.backend {
             BlobBackend::Folder(folder) => folder.path(digest).ok(),
             BlobBackend::Bucket(_) => None,
         }
@@ -114,7 +114,7 @@ impl Blobs {
     /// # Errors
     /// [`BlobError`] if it cannot be read for another reason than its absence.
     pub async fn check(&self, blob: BlobRef, depth: CheckDepth) -> Result<BlobState, BlobError> {
-        let found = match &self.0.keeper {
+        let found = match &self.0.backend {
             BlobBackend::Folder(folder) => length(&folder.path(blob.digest)?).await?,
             BlobBackend::Bucket(bucket) => bucket.length(blob.digest).await?,
         };
@@ -137,7 +137,7 @@ impl Blobs {
     /// Records a blob that is here for garbage collection, which lists the files of a folder but not the objects of a bucket. Returns false
     /// if it is not here any more.
     async fn record(&self, blob: BlobRef) -> Result<bool, BlobError> {
-        match &self.0.keeper {
+        match &self.0.backend {
             BlobBackend::Folder(_) => Ok(true),
             BlobBackend::Bucket(bucket) => Ok(bucket.renew(blob).await?.is_some()),
         }
@@ -154,7 +154,7 @@ impl Blobs {
         blob: BlobRef,
         mode: CopyMode,
     ) -> Result<BlobState, BlobError> {
-        let depth = match (&self.0.keeper, mode) {
+        let depth = match (&self.0.backend, mode) {
             // It was empty, so its files were checked when they were copied.
             (BlobBackend::Folder(_), _) | (_, CopyMode::Link) => CheckDepth::Length,
             (BlobBackend::Bucket(_), CopyMode::Content) => CheckDepth::Content,
@@ -165,7 +165,7 @@ impl Blobs {
         }
         if mode == CopyMode::Link
             && let Some(from) = source.file(blob.digest)
-            && let BlobBackend::Folder(folder) = &self.0.keeper
+            && let BlobBackend::Folder(folder) = &self.0.backend
         {
             match length(&from).await? {
                 None => return Ok(BlobState::Missing),
@@ -188,7 +188,7 @@ impl Blobs {
         if staged.blob() != blob {
             return Ok(BlobState::Damaged);
         }
-        if let (BlobState::Damaged, BlobBackend::Bucket(bucket)) = (here, &self.0.keeper) {
+        if let (BlobState::Damaged, BlobBackend::Bucket(bucket)) = (here, &self.0.backend) {
             // A publication keeps an object of the blob's length.
             bucket.delete(blob.digest).await?;
         }

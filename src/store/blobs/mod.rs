@@ -180,7 +180,7 @@ pub struct Blobs(Arc<Inner>);
 
 #[derive(Debug)]
 struct Inner {
-    keeper: BlobBackend,
+    backend: BlobBackend,
     /// Folder on the file system of the local files.
     data: PathBuf,
     staging: PathBuf,
@@ -242,7 +242,7 @@ impl Blobs {
 
     fn with(
         data: &Path,
-        keeper: impl FnOnce(&Path) -> Result<BlobBackend, BlobError>,
+        backend: impl FnOnce(&Path) -> Result<BlobBackend, BlobError>,
     ) -> Result<Self, BlobError> {
         let [staging, uploads] = ["staging", "uploads"].map(|name| data.join(name));
         for folder in [&staging, &uploads] {
@@ -251,7 +251,7 @@ impl Blobs {
         let lock = data.join("blobs.lock");
         let staging_dir = StagingDir::open(&staging, &lock)?;
         Ok(Self(Arc::new(Inner {
-            keeper: keeper(&lock)?,
+            backend: backend(&lock)?,
             data: data.to_owned(),
             staging,
             staging_dir,
@@ -271,7 +271,7 @@ impl Blobs {
 
     /// Publishes a staged blob; keeps an existing equal one.
     pub async fn publish(&self, staged: &StagedBlob) -> Result<Published, BlobError> {
-        match &self.0.keeper {
+        match &self.0.backend {
             BlobBackend::Folder(folder) => folder.publish(staged).await,
             BlobBackend::Bucket(bucket) => bucket.publish(staged).await,
         }
@@ -279,7 +279,7 @@ impl Blobs {
 
     /// Publishes an existing blob again, and returns a file of it; `None` if it does not exist.
     pub async fn republish(&self, blob: BlobRef) -> Result<Option<(Published, BlobCopy)>, BlobError> {
-        let published = match &self.0.keeper {
+        let published = match &self.0.backend {
             BlobBackend::Folder(folder) => {
                 folder.renew(blob).await?.map(|_| Published { blob, created_at: None })
             }
@@ -297,7 +297,7 @@ impl Blobs {
     /// As [`Blobs::put`], for callers that may undo it ([`Blobs::unpublish`]).
     pub async fn put_new(&self, content: Bytes) -> Result<Published, BlobError> {
         let blob = BlobRef { digest: Digest::of(&content), bytes: content.len() as u64 };
-        match &self.0.keeper {
+        match &self.0.backend {
             BlobBackend::Folder(folder) => {
                 if folder.renew(blob).await?.is_some() {
                     return Ok(Published { blob, created_at: None });
@@ -315,7 +315,7 @@ impl Blobs {
     /// # Errors
     /// [`BlobError::Missing`], [`BlobError::Damaged`], [`BlobError::Store`] or [`BlobError::Bucket`].
     pub async fn read(&self, digest: Digest) -> Result<Bytes, BlobError> {
-        let content = match &self.0.keeper {
+        let content = match &self.0.backend {
             // Many times faster than piece by piece.
             BlobBackend::Folder(folder) => {
                 folder.store.get(&location(digest)).await.map_err(missing(digest))?.bytes().await?
@@ -351,7 +351,7 @@ impl Blobs {
     }
 
     async fn get(&self, digest: Digest, options: GetOptions) -> Result<Pieces, BlobError> {
-        match &self.0.keeper {
+        match &self.0.backend {
             BlobBackend::Folder(folder) => {
                 let found =
                     folder.store.get_opts(&location(digest), options).await.map_err(missing(digest))?;
@@ -366,7 +366,7 @@ impl Blobs {
     /// # Errors
     /// As [`Blobs::read`].
     pub async fn local_copy(&self, digest: Digest) -> Result<BlobCopy, BlobError> {
-        match &self.0.keeper {
+        match &self.0.backend {
             BlobBackend::Folder(folder) => {
                 folder.store.head(&location(digest)).await.map_err(missing(digest))?;
                 Ok(BlobCopy { path: folder.path(digest)?, _removed: None })
@@ -382,7 +382,7 @@ impl Blobs {
     /// that nothing refers to it. Returns whether it was removed.
     pub async fn unpublish(&self, published: Published) -> Result<bool, BlobError> {
         let (Some(since), digest) = (published.created_at, published.blob.digest) else { return Ok(false) };
-        let removed = match &self.0.keeper {
+        let removed = match &self.0.backend {
             BlobBackend::Folder(folder) => folder.remove_if(digest, move |at| at == since).await?,
             BlobBackend::Bucket(bucket) => bucket.remove(digest, Removable::PublishedAt(since)).await?,
         };
@@ -394,7 +394,7 @@ impl Blobs {
     /// # Errors
     /// If nothing can be listed.
     pub async fn older_than(&self, age: SignedDuration, now: Timestamp) -> Result<OldBlobs, BlobError> {
-        match &self.0.keeper {
+        match &self.0.backend {
             BlobBackend::Folder(folder) => folder.older_than(earlier(now, age)).await,
             // By the database's clock.
             BlobBackend::Bucket(bucket) => {
@@ -410,7 +410,7 @@ impl Blobs {
         age: SignedDuration,
         now: Timestamp,
     ) -> Result<Option<u64>, BlobError> {
-        match &self.0.keeper {
+        match &self.0.backend {
             BlobBackend::Folder(folder) => {
                 let before = earlier(now, age);
                 folder.remove_if(digest, move |at| at < before).await
@@ -421,7 +421,7 @@ impl Blobs {
 
     /// Finishes removals that other processes have begun, and died.
     pub async fn finish_removals(&self) -> Result<(), BlobError> {
-        match &self.0.keeper {
+        match &self.0.backend {
             BlobBackend::Folder(_) => Ok(()),
             BlobBackend::Bucket(bucket) => bucket.finish_removals().await,
         }
@@ -445,7 +445,7 @@ impl Blobs {
     /// # Errors
     /// [`BlobError::OtherDatabase`], [`BlobError::Bucket`].
     pub async fn check_owner(&self) -> Result<(), BlobError> {
-        match &self.0.keeper {
+        match &self.0.backend {
             BlobBackend::Folder(_) => Ok(()),
             BlobBackend::Bucket(bucket) => bucket.check_owner().await,
         }
@@ -459,7 +459,7 @@ impl Blobs {
     /// Changing files in the bucket; `None` if blobs are in a folder, where they can be files of their own.
     #[must_use]
     pub fn shared_files(&self) -> Option<SharedFiles> {
-        match &self.0.keeper {
+        match &self.0.backend {
             BlobBackend::Folder(_) => None,
             BlobBackend::Bucket(bucket) => Some(bucket.shared_files()),
         }
@@ -479,7 +479,7 @@ impl Blobs {
 /// Where blobs are, for messages.
 impl fmt::Display for Blobs {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match &self.0.keeper {
+        match &self.0.backend {
             BlobBackend::Folder(_) => self.0.data.display().fmt(f),
             BlobBackend::Bucket(_) => f.write_str("the bucket"),
         }

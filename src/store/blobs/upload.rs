@@ -49,7 +49,7 @@ impl Blobs {
 
     /// Opens and locks an upload, and creates its file if there is none; `None` if another writer has locked it.
     pub async fn open_upload(&self, id: UploadId) -> Result<Option<UploadFile>, BlobError> {
-        if let BlobBackend::Bucket(bucket) = &self.0.keeper {
+        if let BlobBackend::Bucket(bucket) = &self.0.backend {
             let opened = bucket.open_upload(id, &self.0.staging_dir).await?;
             return Ok(opened.map(|upload| UploadFile { id, content: UploadContent::Bucket(upload.into()) }));
         }
@@ -74,7 +74,7 @@ impl Blobs {
 
     /// Removes the bytes of an ended upload; false if a writer has locked it.
     pub async fn remove_upload(&self, id: UploadId) -> Result<bool, BlobError> {
-        if let BlobBackend::Bucket(bucket) = &self.0.keeper {
+        if let BlobBackend::Bucket(bucket) = &self.0.backend {
             return bucket.remove_upload(id).await;
         }
         let path = self.upload_path(id);
@@ -91,7 +91,7 @@ impl Blobs {
 
     /// Every upload that has bytes here.
     pub async fn uploads(&self) -> Result<Vec<UploadId>, BlobError> {
-        if let BlobBackend::Bucket(bucket) = &self.0.keeper {
+        if let BlobBackend::Bucket(bucket) = &self.0.backend {
             return bucket.uploads().await;
         }
         let folder = self.0.uploads.clone();

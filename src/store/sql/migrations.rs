@@ -17,7 +17,7 @@ macro_rules! migrations {
     };
 }
 
-/// Those of SQLite's.
+/// Migrations of SQLite databases.
 pub static SQLITE: LazyLock<Migrator> = migrations! {
     "sqlite":
         "0001_queue",
@@ -40,7 +40,7 @@ pub static SQLITE: LazyLock<Migrator> = migrations! {
         "0019_viewers",
 };
 
-/// Those of PostgreSQL's.
+/// Migrations of PostgreSQL databases.
 pub static POSTGRES: LazyLock<Migrator> = migrations! {
     "postgres":
         "0001_schema",

@@ -219,7 +219,7 @@ pub(super) async fn a_jobs_life_is_told_in_signed_messages(coverage: Coverage) {
     let rest = server.get(page["next"].as_str().expect("more")).await.expect(200).json();
     assert_eq!((&rest["deliveries"][0]["event"], &rest["next"]), (&json!("job.queued"), &Value::Null));
 
-    // ListenerState again on request, with the same id.
+    // Sent again on request, with the same id.
     let replay = done["links"]["replay"].as_str().expect("a path");
     let again = server.post(replay).await.expect(202).json();
     assert_eq!((&again["state"], &again["id"]), (&json!("pending"), &done["id"]));

@@ -470,7 +470,7 @@ fn an_interrupted_command_goes_on_where_it_stopped() {
         .spawn()
         .expect("the binary runs");
     let mut said = BufReader::new(child.stderr.take().expect("piped")).lines().map_while(Result::ok);
-    // ListenerState with the first round of growth, which is in the middle of the run.
+    // Reported with the first round of growth, which is in the middle of the run.
     assert!(said.any(|line| line.contains("grown")), "nothing grew");
     // As `timeout`, containers and batch systems stop a command; an interrupt does the same.
     kill("-TERM", child.id());

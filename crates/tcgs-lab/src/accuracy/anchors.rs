@@ -8,7 +8,7 @@ use rand_pcg::Pcg64;
 
 use super::{
     case::{Bound, Case, Errors},
-    error::CaseFault,
+    error::CaseError,
     norms::{largest_difference, relative_l2, unless},
     raster::{BACKGROUND, IMAGE, PLAIN, undecided},
     scenes::{camera, camera_at, d_image, forward_camera},
@@ -95,7 +95,7 @@ fn run(
     (rows, networks): &(AnchorRows, Vec<f32>),
     camera: &Camera,
     d_image: &[[f32; 4]],
-) -> Result<Found, CaseFault> {
+) -> Result<Found, CaseError> {
     let anchors = DeviceAnchors::upload(device, rows, networks)?;
     let mut neural = NeuralGaussians::new(Arc::clone(device), WIDTHS, PLAIN.near, SceneScale::DEFAULT)?;
     let mut rasterizer = Rasterizer::new(Arc::clone(device), PLAIN)?;
@@ -122,7 +122,7 @@ fn compare(
     device: &Arc<Device>,
     scene: &(AnchorRows, Vec<f32>),
     camera: &Camera,
-) -> Result<Errors, CaseFault> {
+) -> Result<Errors, CaseError> {
     let projection = Projection::new(camera, &PLAIN);
     let anchors = neural::Anchors::new(&scene.0, &scene.1, SceneScale::DEFAULT);
     let spawned = neural::neural_forward(&projection, &anchors);
@@ -159,7 +159,7 @@ fn compare(
 }
 
 /// Whether a view of the anchors is an empty scene's.
-fn empty(device: &Arc<Device>, scene: &(AnchorRows, Vec<f32>), camera: &Camera) -> Result<Errors, CaseFault> {
+fn empty(device: &Arc<Device>, scene: &(AnchorRows, Vec<f32>), camera: &Camera) -> Result<Errors, CaseError> {
     let pixels = camera.intrinsics.width * camera.intrinsics.height;
     let found = run(device, scene, camera, &d_image(9, pixels as usize))?;
     let [r, g, b] = BACKGROUND.map(f64::from);
@@ -170,19 +170,19 @@ fn empty(device: &Arc<Device>, scene: &(AnchorRows, Vec<f32>), camera: &Camera) 
 }
 
 /// All behind the camera.
-fn none_visible(device: &Arc<Device>) -> Result<Errors, CaseFault> {
+fn none_visible(device: &Arc<Device>) -> Result<Errors, CaseError> {
     let lattice = Lattice { voxel: 1e-3, origin: [0.0, 0.0, -3.0] };
     empty(device, &anchors(41, lattice, cells(41, 30, 1000)), &forward_camera(24, 20))
 }
 
-fn all_masked(device: &Arc<Device>) -> Result<Errors, CaseFault> {
+fn all_masked(device: &Arc<Device>) -> Result<Errors, CaseError> {
     let mut scene = anchors(42, MILLI, cells(42, 30, 1000));
     scene.0.masks.fill(0);
     empty(device, &scene, &camera(24, 20))
 }
 
 /// Behind the camera, before it, and at the near plane to a few units in the last place.
-fn near_plane(device: &Arc<Device>) -> Result<Errors, CaseFault> {
+fn near_plane(device: &Arc<Device>) -> Result<Errors, CaseError> {
     let lattice = Lattice { voxel: 1.5e-8, origin: [0.0, 0.0, PLAIN.near] };
     let mut cells = cells(43, 40, 1_000_000);
     for (i, cell) in cells.iter_mut().enumerate() {
@@ -197,12 +197,12 @@ fn near_plane(device: &Arc<Device>) -> Result<Errors, CaseFault> {
 }
 
 /// Ten cells with four anchors each.
-fn one_cell(device: &Arc<Device>) -> Result<Errors, CaseFault> {
+fn one_cell(device: &Arc<Device>) -> Result<Errors, CaseError> {
     compare(device, &anchors(44, MILLI, cells(44, 10, 1000).repeat(4)), &camera(40, 36))
 }
 
 /// A lattice whose origin is 1e5 from the world's, where neighboring f32 are 0.008 apart.
-fn far(device: &Arc<Device>) -> Result<Errors, CaseFault> {
+fn far(device: &Arc<Device>) -> Result<Errors, CaseError> {
     let lattice = Lattice { voxel: 1.0 / 64.0, origin: [1e5, -1e5, 1e5] };
     let origin = DVec3::new(1e5, -1e5, 1e5);
     let camera = camera_at(origin + DVec3::new(3.0, -2.0, 1.7), origin, 40, 36);
@@ -210,7 +210,7 @@ fn far(device: &Arc<Device>) -> Result<Errors, CaseFault> {
 }
 
 /// Features and offsets that are no numbers: such a feature reads as zero, such an offset makes no Gaussian.
-fn not_finite(device: &Arc<Device>) -> Result<Errors, CaseFault> {
+fn not_finite(device: &Arc<Device>) -> Result<Errors, CaseError> {
     let mut scene = anchors(46, MILLI, cells(46, 40, 1000));
     let bad = [f32::NAN, f32::INFINITY, f32::NEG_INFINITY, 3e38];
     for (i, row) in scene.0.values.chunks_mut(WIDTHS.row()).enumerate() {

@@ -4,14 +4,14 @@ use std::sync::Arc;
 
 use serde::Serialize;
 
-use super::error::{AccuracyError, CaseFault};
+use super::error::{AccuracyError, CaseError};
 use tcgs_render::gpu::Device;
 
 /// Errors that a case measured, by quantity.
 pub(super) type Errors = Vec<(&'static str, f64)>;
 
 /// How a case is measured.
-pub(super) type Measure = fn(&Arc<Device>) -> Result<Errors, CaseFault>;
+pub(super) type Measure = fn(&Arc<Device>) -> Result<Errors, CaseError>;
 
 /// A hard case.
 #[derive(Debug, Clone, Copy)]

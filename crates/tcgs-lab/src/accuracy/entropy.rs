@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use super::{
     case::{Bound, Case, Errors},
-    error::CaseFault,
+    error::CaseError,
     norms::largest,
 };
 use tcgs_engine::train::twin::symbol_bits;
@@ -58,7 +58,7 @@ pub(super) const CASES: &[Case] = &[
 /// Value, mean, deviation, width.
 type Row = [f32; 4];
 
-fn compare(device: &Arc<Device>, rows: &[Row]) -> Result<Errors, CaseFault> {
+fn compare(device: &Arc<Device>, rows: &[Row]) -> Result<Errors, CaseError> {
     let source = KernelSource { name: "symbol_bits_probe", text: include_str!("symbol_bits_probe.wgsl") };
     let kernel = device.kernel(source, &[])?;
     let given = device.upload("rows", rows)?;
@@ -99,26 +99,26 @@ fn rows(deviations: &[f32], distances: impl Fn(f32) -> Vec<f32>) -> Vec<Row> {
 }
 
 /// Far narrower than a bin: from 1e-3 bins to the finest that is coded.
-fn tiny_scales(device: &Arc<Device>) -> Result<Errors, CaseFault> {
+fn tiny_scales(device: &Arc<Device>) -> Result<Errors, CaseError> {
     let distances = |_| vec![0.0, 0.1, 0.4, 0.499, 0.501, 0.6, 1.0, 3.0];
     compare(device, &rows(&[1e-3, 0.01, 0.088_388, 0.2], distances))
 }
 
 /// Far wider than a bin: to a thousand times the coarsest that is coded.
-fn huge_scales(device: &Arc<Device>) -> Result<Errors, CaseFault> {
+fn huge_scales(device: &Arc<Device>) -> Result<Errors, CaseError> {
     let distances = |deviation| [0.0, 0.01, 0.3, 1.0, 3.0].map(|z| z * deviation).to_vec();
     compare(device, &rows(&[64.0, 1243.0, 1e5, 1e6], distances))
 }
 
-fn sigmas(device: &Arc<Device>, far: [f32; 4]) -> Result<Errors, CaseFault> {
+fn sigmas(device: &Arc<Device>, far: [f32; 4]) -> Result<Errors, CaseError> {
     let distances = |deviation| far.map(|z| z * deviation).to_vec();
     compare(device, &rows(&[0.088_388, 0.5, 1.0, 7.0, 300.0], distances))
 }
 
-fn ten_sigma(device: &Arc<Device>) -> Result<Errors, CaseFault> {
+fn ten_sigma(device: &Arc<Device>) -> Result<Errors, CaseError> {
     sigmas(device, [8.0, 9.5, 10.0, 12.0])
 }
 
-fn thousand_sigma(device: &Arc<Device>) -> Result<Errors, CaseFault> {
+fn thousand_sigma(device: &Arc<Device>) -> Result<Errors, CaseError> {
     sigmas(device, [30.0, 100.0, 300.0, 1000.0])
 }

@@ -11,12 +11,12 @@ pub struct AccuracyError {
     pub case: &'static str,
     /// What happened.
     #[source]
-    pub error: CaseFault,
+    pub error: CaseError,
 }
 
 /// What may go wrong within a case.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
-pub enum CaseFault {
+pub enum CaseError {
     /// A fault of the device.
     #[error(transparent)]
     Gpu(#[from] GpuError),
@@ -28,8 +28,8 @@ pub enum CaseFault {
 impl From<AccuracyError> for Problem {
     fn from(error: AccuracyError) -> Self {
         let mut problem = match error.error {
-            CaseFault::Gpu(error) => Problem::from(error),
-            CaseFault::Render(error) => Problem::from(error),
+            CaseError::Gpu(error) => Problem::from(error),
+            CaseError::Render(error) => Problem::from(error),
         };
         problem.detail = format!("{}: {}", error.case, problem.detail);
         problem

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use super::{
     case::{Case, Errors},
-    error::CaseFault,
+    error::CaseError,
     raster::{PLAIN, bounds, compare},
     scenes::{camera, gaussians},
 };
@@ -20,19 +20,19 @@ pub(super) const CASES: &[Case] = &[
     Case { name: "odd-tiles", bounds: &bounds(1e-4, 1e-4, AS_ANY), measure: odd_tiles },
 ];
 
-fn one_by_one(device: &Arc<Device>) -> Result<Errors, CaseFault> {
+fn one_by_one(device: &Arc<Device>) -> Result<Errors, CaseError> {
     compare(device, PLAIN, &gaussians(31, 60, 0.5), &camera(1, 1))
 }
 
-fn one_by_5000(device: &Arc<Device>) -> Result<Errors, CaseFault> {
+fn one_by_5000(device: &Arc<Device>) -> Result<Errors, CaseError> {
     compare(device, PLAIN, &gaussians(32, 60, 0.1), &camera(1, 5000))
 }
 
-fn wide(device: &Arc<Device>) -> Result<Errors, CaseFault> {
+fn wide(device: &Arc<Device>) -> Result<Errors, CaseError> {
     compare(device, PLAIN, &gaussians(33, 60, 0.1), &camera(5000, 1))
 }
 
 /// Three by five tiles, of which the last are a pixel wide and fifteen pixels high.
-fn odd_tiles(device: &Arc<Device>) -> Result<Errors, CaseFault> {
+fn odd_tiles(device: &Arc<Device>) -> Result<Errors, CaseError> {
     compare(device, PLAIN, &gaussians(34, 80, 0.15), &camera(33, 79))
 }

@@ -8,7 +8,7 @@ use rand_pcg::Pcg64;
 
 use super::{
     case::{Bound, Case, Errors},
-    error::CaseFault,
+    error::CaseError,
     norms::{largest, largest_difference},
 };
 use tcgs_engine::train::{ImageLoss, WaveletWeights, twin};
@@ -89,7 +89,7 @@ impl Pair {
         Self::new(size, || rng.random(), |pixel| pixel.map(&mut near))
     }
 
-    fn compare(&self, device: &Arc<Device>, weights: Option<&WaveletWeights>) -> Result<Errors, CaseFault> {
+    fn compare(&self, device: &Arc<Device>, weights: Option<&WaveletWeights>) -> Result<Errors, CaseError> {
         let mut loss = ImageLoss::new(Arc::clone(device))?;
         let render: Vec<[f32; 4]> = self.render.iter().map(|[r, g, b]| [*r, *g, *b, 0.0]).collect();
         let render = device.upload("render", &render)?;
@@ -126,20 +126,20 @@ impl Pair {
 }
 
 /// Equal up to an eighth of a level, with which L1 has the same sign everywhere.
-fn flat_equal(device: &Arc<Device>) -> Result<Errors, CaseFault> {
+fn flat_equal(device: &Arc<Device>) -> Result<Errors, CaseError> {
     Pair::flat([128, 90, 30], 0.0005).compare(device, None)
 }
 
 /// White on white, where squares are largest against their differences.
-fn flat_bright(device: &Arc<Device>) -> Result<Errors, CaseFault> {
+fn flat_bright(device: &Arc<Device>) -> Result<Errors, CaseError> {
     Pair::flat([255, 254, 250], -0.0005).compare(device, None)
 }
 
-fn flat_unlike(device: &Arc<Device>) -> Result<Errors, CaseFault> {
+fn flat_unlike(device: &Arc<Device>) -> Result<Errors, CaseError> {
     Pair::flat([200, 120, 20], 0.17).compare(device, None)
 }
 
-fn wavelet_odd(device: &Arc<Device>) -> Result<Errors, CaseFault> {
+fn wavelet_odd(device: &Arc<Device>) -> Result<Errors, CaseError> {
     let mut worst: Errors = Vec::new();
     let sizes = [[1, 1], [1, 5], [5, 1], [3, 7], [13, 17], [33, 2], [31, 29]];
     for (seed, size) in (0..).zip(sizes) {

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use super::{
     case::{Bound, Case, Errors},
-    error::CaseFault,
+    error::CaseError,
     norms::largest,
 };
 use tcgs_engine::train::{
@@ -53,7 +53,7 @@ fn compare(
     mut elements: Vec<AdamElement>,
     steps: std::ops::RangeInclusive<u32>,
     gradient: impl Fn(u32, usize) -> f32,
-) -> Result<Errors, CaseFault> {
+) -> Result<Errors, CaseError> {
     let kernel = Adam::new(device)?;
     let part = |of: fn(&AdamElement) -> f64| -> Vec<f32> { elements.iter().map(|e| of(e) as f32).collect() };
     let values = device.upload("values", &part(|e| e.value))?;
@@ -91,7 +91,7 @@ fn compare(
 }
 
 /// Gradients from 1e-9 to 1e3, then two thousand of zero, after which nothing of the first moment is left, then others.
-fn after_zero_gradients(device: &Arc<Device>) -> Result<Errors, CaseFault> {
+fn after_zero_gradients(device: &Arc<Device>) -> Result<Errors, CaseError> {
     let elements =
         (0..12).map(|i| AdamElement { value: f64::from(i) * 0.125 - 0.75, ..AdamElement::default() });
     compare(device, elements.collect(), 1..=2010, |step, i| match step {
@@ -101,7 +101,7 @@ fn after_zero_gradients(device: &Arc<Device>) -> Result<Errors, CaseFault> {
 }
 
 /// Moments at and below the least normal number, then gradients of every size.
-fn vanished_moments(device: &Arc<Device>) -> Result<Errors, CaseFault> {
+fn vanished_moments(device: &Arc<Device>) -> Result<Errors, CaseError> {
     let moments = [0.0, 1e-45, 1e-40, 1e-38, 1e-30];
     let elements = (0..20).map(|i| AdamElement {
         value: 0.5,

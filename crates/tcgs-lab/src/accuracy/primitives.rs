@@ -8,7 +8,7 @@ use rand_pcg::Pcg64;
 
 use super::{
     case::{Bound, Case, Errors},
-    error::CaseFault,
+    error::CaseError,
     norms::relative_l2,
 };
 use tcgs_render::{
@@ -69,7 +69,7 @@ fn differing<T: PartialEq>(found: &[T], truth: &[T]) -> f64 {
 }
 
 /// Small values, and values that exceed 32 bits together.
-fn scanned(device: &Arc<Device>) -> Result<Errors, CaseFault> {
+fn scanned(device: &Arc<Device>) -> Result<Errors, CaseError> {
     const COUNT: usize = 1_000_003;
     let mut rng = Pcg64::seed_from_u64(71);
     let plan = Scan::plan(device.adapter(), COUNT, ScanSlots { count: 0, total: 0 }).make(device)?;
@@ -89,7 +89,7 @@ fn scanned(device: &Arc<Device>) -> Result<Errors, CaseFault> {
 }
 
 /// Keys of which many are equal, and keys of all bits, by 32, 13 and 1 bits.
-fn sorted(device: &Arc<Device>) -> Result<Errors, CaseFault> {
+fn sorted(device: &Arc<Device>) -> Result<Errors, CaseError> {
     const COUNT: usize = 1_000_003;
     let mut rng = Pcg64::seed_from_u64(72);
     let counts = device.upload("counts", &[COUNT as u32])?;
@@ -112,7 +112,7 @@ fn sorted(device: &Arc<Device>) -> Result<Errors, CaseFault> {
 }
 
 /// None, few, half and all of 300 001 anchors.
-fn listed(device: &Arc<Device>) -> Result<Errors, CaseFault> {
+fn listed(device: &Arc<Device>) -> Result<Errors, CaseError> {
     let mut rng = Pcg64::seed_from_u64(73);
     let mut errors = 0.0;
     for share in [0.0, 0.01, 0.5, 1.0] {
@@ -122,11 +122,11 @@ fn listed(device: &Arc<Device>) -> Result<Errors, CaseFault> {
     Ok(vec![(ANCHORS, errors)])
 }
 
-fn layers(device: &Arc<Device>) -> Result<Errors, CaseFault> {
+fn layers(device: &Arc<Device>) -> Result<Errors, CaseError> {
     measure_layer(device, device.subgroups().lanes())
 }
 
-fn layers_without_subgroups(device: &Arc<Device>) -> Result<Errors, CaseFault> {
+fn layers_without_subgroups(device: &Arc<Device>) -> Result<Errors, CaseError> {
     measure_layer(device, None)
 }
 
@@ -160,7 +160,7 @@ fn by_columns(rows: &[f32], capacity: usize) -> Vec<f64> {
 }
 
 /// The layer with a ReLU, and its gradients: by inputs that passed a ReLU themselves, and by weights.
-fn measure_layer(device: &Arc<Device>, subgroups: Option<u32>) -> Result<Errors, CaseFault> {
+fn measure_layer(device: &Arc<Device>, subgroups: Option<u32>) -> Result<Errors, CaseError> {
     let mut rng = Pcg64::seed_from_u64(74);
     let parameters: Vec<f32> = (0..PARAMETERS).map(|_| rng.random_range(-1.0..1.0)).collect();
     let inputs: Vec<Vec<f64>> = random_columns(&mut rng, LAYER.inputs).into_iter().map(relu).collect();

@@ -6,7 +6,7 @@ use glam::DVec3;
 
 use super::{
     case::{Bound, Case, Errors},
-    error::CaseFault,
+    error::CaseError,
     norms::unless,
     raster::{PLAIN, bounds, compare, render},
     scenes::{camera, camera_at, changed, d_image, forward_camera, gaussians},
@@ -79,7 +79,7 @@ pub(super) const CASES: &[Case] = &[
     },
 ];
 
-fn needles(device: &Arc<Device>) -> Result<Errors, CaseFault> {
+fn needles(device: &Arc<Device>) -> Result<Errors, CaseError> {
     let scene = changed(gaussians(1, 40, 0.5), |i, g| {
         let ratio = 10_f64.powi(1 + i as i32 % 4);
         g.scale = g.scale.x * DVec3::new(1.0, 1.0 / ratio, 1.0 / ratio);
@@ -87,7 +87,7 @@ fn needles(device: &Arc<Device>) -> Result<Errors, CaseFault> {
     compare(device, PLAIN, &scene, &camera(48, 40))
 }
 
-fn discs(device: &Arc<Device>) -> Result<Errors, CaseFault> {
+fn discs(device: &Arc<Device>) -> Result<Errors, CaseError> {
     let scene = changed(gaussians(2, 40, 0.5), |i, g| {
         g.scale = g.scale.x * DVec3::new(1.0, 1.0, 10_f64.powi(-1 - i as i32 % 4));
     });
@@ -99,16 +99,16 @@ fn specks() -> Vec<Gaussian> {
     changed(gaussians(3, 80, 1.0), |i, g| g.scale *= 0.07 * 10_f64.powi(-(i as i32 % 4)))
 }
 
-fn sub_pixel(device: &Arc<Device>) -> Result<Errors, CaseFault> {
+fn sub_pixel(device: &Arc<Device>) -> Result<Errors, CaseError> {
     compare(device, PLAIN, &specks(), &camera(48, 40))
 }
 
-fn sub_pixel_antialiased(device: &Arc<Device>) -> Result<Errors, CaseFault> {
+fn sub_pixel_antialiased(device: &Arc<Device>) -> Result<Errors, CaseError> {
     compare(device, RasterSettings { antialiased: true, ..PLAIN }, &specks(), &camera(48, 40))
 }
 
 /// Standard deviations from a screen to a thousand screens.
-fn screen_filling(device: &Arc<Device>) -> Result<Errors, CaseFault> {
+fn screen_filling(device: &Arc<Device>) -> Result<Errors, CaseError> {
     let scene = changed(gaussians(4, 12, 1.0), |i, g| {
         g.scale *= 4.0 * 10_f64.powi(i as i32 % 4);
         g.opacity *= 0.5;
@@ -117,14 +117,14 @@ fn screen_filling(device: &Arc<Device>) -> Result<Errors, CaseFault> {
 }
 
 /// A camera in the middle of Gaussians that are larger than their distance; half of them are behind it.
-fn camera_inside(device: &Arc<Device>) -> Result<Errors, CaseFault> {
+fn camera_inside(device: &Arc<Device>) -> Result<Errors, CaseError> {
     let scene = changed(gaussians(5, 30, 1.5), |_, g| g.opacity *= 0.5);
     let camera = camera_at(DVec3::new(0.1, 0.0, -0.2), DVec3::new(1.0, 0.3, 0.1), 40, 36);
     compare(device, PLAIN, &scene, &camera)
 }
 
 /// Centers at the near plane, a few units in the last place before and behind it.
-fn near_plane(device: &Arc<Device>) -> Result<Errors, CaseFault> {
+fn near_plane(device: &Arc<Device>) -> Result<Errors, CaseError> {
     let scene = changed(gaussians(6, 40, 0.02), |i, g| {
         let steps = [-2, -1, 0, 1, 2, 1000, 100_000][i % 7];
         let depth = f32::from_bits(PLAIN.near.to_bits().wrapping_add_signed(steps));
@@ -133,14 +133,14 @@ fn near_plane(device: &Arc<Device>) -> Result<Errors, CaseFault> {
     compare(device, PLAIN, &scene, &forward_camera(40, 36))
 }
 
-fn behind(device: &Arc<Device>) -> Result<Errors, CaseFault> {
+fn behind(device: &Arc<Device>) -> Result<Errors, CaseError> {
     let scene = changed(gaussians(7, 40, 0.5), |_, g| g.mean.z -= 3.0);
     let found = render(device, PLAIN, &scene, &forward_camera(24, 20), &d_image(9, 480))?;
     Ok(vec![(EMPTY, unless(found.is_background()))])
 }
 
 /// The scene and the camera at another scale.
-fn scaled(device: &Arc<Device>, by: f64) -> Result<Errors, CaseFault> {
+fn scaled(device: &Arc<Device>, by: f64) -> Result<Errors, CaseError> {
     let scene = changed(gaussians(8, 60, 0.2), |_, g| {
         g.mean *= by;
         g.scale *= by;
@@ -149,23 +149,23 @@ fn scaled(device: &Arc<Device>, by: f64) -> Result<Errors, CaseFault> {
     compare(device, RasterSettings { near: (0.2 * by) as f32, ..PLAIN }, &scene, &camera)
 }
 
-fn tiny(device: &Arc<Device>) -> Result<Errors, CaseFault> {
+fn tiny(device: &Arc<Device>) -> Result<Errors, CaseError> {
     scaled(device, 1e-6)
 }
 
-fn huge(device: &Arc<Device>) -> Result<Errors, CaseFault> {
+fn huge(device: &Arc<Device>) -> Result<Errors, CaseError> {
     scaled(device, 1e6)
 }
 
 /// A scene 1e5 from the origin along each axis, where neighboring f32 are 0.008 apart.
-fn far(device: &Arc<Device>) -> Result<Errors, CaseFault> {
+fn far(device: &Arc<Device>) -> Result<Errors, CaseError> {
     let origin = DVec3::new(1e5, -1e5, 1e5);
     let scene = changed(gaussians(9, 60, 0.2), |_, g| g.mean += origin);
     let camera = camera_at(origin + DVec3::new(3.0, -2.0, 1.7), origin, 48, 40);
     compare(device, PLAIN, &scene, &camera)
 }
 
-fn unnormalized(device: &Arc<Device>) -> Result<Errors, CaseFault> {
+fn unnormalized(device: &Arc<Device>) -> Result<Errors, CaseError> {
     let scene = changed(gaussians(10, 60, 0.2), |i, g| {
         let length = 10_f64.powi(3 * (i as i32 % 5) - 6);
         g.quat = g.quat.map(|v| v * length);
@@ -174,7 +174,7 @@ fn unnormalized(device: &Arc<Device>) -> Result<Errors, CaseFault> {
 }
 
 /// Whether `bad` Gaussians before, among and behind good ones change nothing.
-fn without_effect(device: &Arc<Device>, bad: &[Gaussian]) -> Result<Errors, CaseFault> {
+fn without_effect(device: &Arc<Device>, bad: &[Gaussian]) -> Result<Errors, CaseError> {
     let good = gaussians(11, 30, 0.2);
     let (camera, d_image) = (camera(40, 36), d_image(9, 40 * 36));
     let alone = render(device, PLAIN, &good, &camera, &d_image)?;
@@ -188,11 +188,11 @@ fn without_effect(device: &Arc<Device>, bad: &[Gaussian]) -> Result<Errors, Case
     Ok(vec![(ALONE, unless(same && alone.is_finite()))])
 }
 
-fn zero_quaternions(device: &Arc<Device>) -> Result<Errors, CaseFault> {
+fn zero_quaternions(device: &Arc<Device>) -> Result<Errors, CaseError> {
     without_effect(device, &changed(gaussians(12, 8, 0.5), |i, g| g.quat = [[0.0; 4], [1e-20; 4]][i % 2]))
 }
 
-fn not_finite(device: &Arc<Device>) -> Result<Errors, CaseFault> {
+fn not_finite(device: &Arc<Device>) -> Result<Errors, CaseError> {
     let bad = [f64::NAN, f64::INFINITY, f64::NEG_INFINITY];
     let scene = changed(gaussians(13, 15, 0.5), |i, g| {
         let v = bad[i % 3];
@@ -207,7 +207,7 @@ fn not_finite(device: &Arc<Device>) -> Result<Errors, CaseFault> {
     without_effect(device, &scene)
 }
 
-fn denormal(device: &Arc<Device>) -> Result<Errors, CaseFault> {
+fn denormal(device: &Arc<Device>) -> Result<Errors, CaseError> {
     let scene = changed(gaussians(14, 30, 0.2), |i, g| {
         let v = 1e-40;
         match i % 6 {

@@ -9,7 +9,7 @@ use glam::DVec3;
 
 use super::{
     case::{Bound, Errors},
-    error::CaseFault,
+    error::CaseError,
     norms::{largest_difference, relative_l2},
     scenes,
 };
@@ -75,7 +75,7 @@ impl Rendered {
 }
 
 /// Gaussians as rows of the device's buffers.
-fn upload(device: &Device, scene: &[Gaussian]) -> Result<Gaussians, CaseFault> {
+fn upload(device: &Device, scene: &[Gaussian]) -> Result<Gaussians, CaseError> {
     let rows = |row: fn(&Gaussian) -> [f32; 4]| scene.iter().map(row);
     let geometry: Vec<[f32; 4]> = rows(|g| g.mean.extend(g.opacity).as_vec4().to_array())
         .chain(rows(|g| g.scale.extend(0.0).as_vec4().to_array()))
@@ -97,7 +97,7 @@ pub(super) fn render_image(
     settings: RasterSettings,
     scene: &[Gaussian],
     camera: &Camera,
-) -> Result<(RasterCounts, Vec<[f32; 4]>), CaseFault> {
+) -> Result<(RasterCounts, Vec<[f32; 4]>), CaseError> {
     let mut rasterizer = Rasterizer::new(Arc::clone(device), settings)?;
     let counts = forward(&mut rasterizer, &upload(device, scene)?, camera)?;
     Ok((counts, device.read(rasterizer.image())?))
@@ -121,7 +121,7 @@ pub(super) fn render(
     scene: &[Gaussian],
     camera: &Camera,
     d_image: &[[f32; 4]],
-) -> Result<Rendered, CaseFault> {
+) -> Result<Rendered, CaseError> {
     let mut rasterizer = Rasterizer::new(Arc::clone(device), settings)?;
     let gaussians = upload(device, scene)?;
     let counts = forward(&mut rasterizer, &gaussians, camera)?;
@@ -148,7 +148,7 @@ pub(super) fn compare(
     settings: RasterSettings,
     scene: &[Gaussian],
     camera: &Camera,
-) -> Result<Errors, CaseFault> {
+) -> Result<Errors, CaseError> {
     let projection = Projection::new(camera, &settings);
     let background = DVec3::from(BACKGROUND.map(f64::from));
     let rendering = twin::forward(&projection, scene, background, Cutoffs::default());

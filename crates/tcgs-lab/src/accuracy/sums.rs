@@ -6,7 +6,7 @@ use glam::DVec3;
 
 use super::{
     case::{Bound, Case, Errors},
-    error::CaseFault,
+    error::CaseError,
     norms::largest,
     raster::{BACKGROUND, PLAIN, render_image},
     scenes::forward_camera,
@@ -54,7 +54,7 @@ pub(super) const CASES: &[Case] = &[
 ];
 
 /// Gaussians that cover 1024 tiles each, all of one opacity in every pixel; the nearest fourteen are blended.
-fn intersections(device: &Arc<Device>) -> Result<Errors, CaseFault> {
+fn intersections(device: &Arc<Device>) -> Result<Errors, CaseError> {
     const LAYERS: u32 = 9766;
     let color = |i: u32| DVec3::new(1.0, 0.5, f64::from(i % 2));
     let scene: Vec<Gaussian> = (0..LAYERS)
@@ -87,7 +87,7 @@ fn intersections(device: &Arc<Device>) -> Result<Errors, CaseFault> {
 }
 
 /// Ten million slots of two Gaussians, or as many as the adapter binds (3.7 million where a binding has 128 MiB).
-fn slots(device: &Arc<Device>) -> Result<Errors, CaseFault> {
+fn slots(device: &Arc<Device>) -> Result<Errors, CaseError> {
     let count = Rasterizer::max_bindable_intersections(device.adapter()).min(10_000_000) as u32;
     let tiles = [1000, count - 1000];
     let value = 0.1_f32;
@@ -101,7 +101,7 @@ fn slots(device: &Arc<Device>) -> Result<Errors, CaseFault> {
 }
 
 /// An image of a million pixels whose samples all differ from the photograph's by the same.
-fn samples(device: &Arc<Device>) -> Result<Errors, CaseFault> {
+fn samples(device: &Arc<Device>) -> Result<Errors, CaseError> {
     let side = 1024_u32;
     let pixels = (side * side) as usize;
     let mut loss = ImageLoss::new(Arc::clone(device))?;

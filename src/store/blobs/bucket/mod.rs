@@ -4,7 +4,7 @@
 //! only keeps bytes. One database uses a bucket, or a prefix of one: an object there names it.
 
 mod marker;
-mod patience;
+mod request_timeouts;
 mod shared_files;
 mod upload;
 mod url;

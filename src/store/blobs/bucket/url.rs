@@ -13,7 +13,7 @@ use thiserror::Error;
 
 use super::{
     BlobError,
-    patience::{PatientConnector, RequestTimeouts},
+    request_timeouts::{RequestTimeouts, TimeoutConnector},
 };
 
 /// How long a connection may take.
@@ -101,7 +101,7 @@ impl BucketUrl {
         let bucket = builder
             .with_bucket_name(&self.bucket)
             .with_client_options(client)
-            .with_http_connector(PatientConnector(RequestTimeouts::default()))
+            .with_http_connector(TimeoutConnector(RequestTimeouts::default()))
             .with_retry(retry)
             .build()
             .map_err(BlobError::Bucket)?;

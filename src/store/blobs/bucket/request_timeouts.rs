@@ -50,22 +50,22 @@ impl RequestTimeouts {
 
 /// Connects clients that keep the limits.
 #[derive(Debug)]
-pub(super) struct PatientConnector(pub(super) RequestTimeouts);
+pub(super) struct TimeoutConnector(pub(super) RequestTimeouts);
 
-impl HttpConnector for PatientConnector {
+impl HttpConnector for TimeoutConnector {
     fn connect(&self, options: &ClientOptions) -> object_store::Result<HttpClient> {
         let client = ReqwestConnector::default().connect(options)?;
-        Ok(HttpClient::new(PatientClient { client, patience: self.0 }))
+        Ok(HttpClient::new(TimeoutClient { client, timeouts: self.0 }))
     }
 }
 
 #[derive(Debug)]
-struct PatientClient {
+struct TimeoutClient {
     client: HttpClient,
-    patience: RequestTimeouts,
+    timeouts: RequestTimeouts,
 }
 
-impl HttpService for PatientClient {
+impl HttpService for TimeoutClient {
     fn call<'client, 'call>(
         &'client self,
         request: HttpRequest,
@@ -74,11 +74,11 @@ impl HttpService for PatientClient {
         'client: 'call,
         Self: 'call,
     {
-        let limit = self.patience.until_answer(&request);
+        let limit = self.timeouts.until_answer(&request);
         Box::pin(async move {
             let answer = timeout(limit, self.client.execute(request)).await.map_err(|_| silent())??;
-            let pause = self.patience.silence;
-            Ok(answer.map(|body| HttpResponseBody::new(PatientBody { body, pause, end: None })))
+            let pause = self.timeouts.silence;
+            Ok(answer.map(|body| HttpResponseBody::new(TimeoutBody { body, pause, end: None })))
         })
     }
 }
@@ -89,14 +89,14 @@ fn silent() -> HttpError {
 
 /// The body of an answer, of which each piece comes within `pause` from when it is asked for.
 #[derive(Debug)]
-struct PatientBody {
+struct TimeoutBody {
     body: HttpResponseBody,
     pause: Duration,
     /// The end of a pause that has begun. One begins only when a piece is asked for: a slow reader is no silent bucket.
     end: Option<Pin<Box<Sleep>>>,
 }
 
-impl Body for PatientBody {
+impl Body for TimeoutBody {
     type Data = Bytes;
     type Error = HttpError;
 
@@ -128,7 +128,7 @@ mod tests {
 
     use super::*;
 
-    const PATIENCE: RequestTimeouts = RequestTimeouts {
+    const TIMEOUTS: RequestTimeouts = RequestTimeouts {
         silence: Duration::from_millis(40),
         slowest: 1,
         assembly: Duration::from_secs(3600),
@@ -185,7 +185,7 @@ mod tests {
 
     fn client(pieces: u32, pause: Duration) -> HttpClient {
         let client = HttpClient::new(SlowServer { pieces, pause });
-        HttpClient::new(PatientClient { client, patience: PATIENCE })
+        HttpClient::new(TimeoutClient { client, timeouts: TIMEOUTS })
     }
 
     fn request(bytes: usize) -> HttpRequest {
@@ -205,9 +205,9 @@ mod tests {
         let answer = silent.execute(request(0)).await.expect("an answer");
         let error = answer.into_body().bytes().await.expect_err("no piece comes");
         assert_eq!(error.kind(), HttpErrorKind::Timeout);
-        let never = PatientClient {
+        let never = TimeoutClient {
             client: HttpClient::new(SlowServer { pieces: 0, pause: Duration::ZERO }),
-            patience: RequestTimeouts { slowest: 1 << 20, ..PATIENCE },
+            timeouts: RequestTimeouts { slowest: 1 << 20, ..TIMEOUTS },
         };
         let error = never.call(request(1 << 19)).await.expect_err("too slow");
         assert_eq!(error.kind(), HttpErrorKind::Timeout);
@@ -215,13 +215,13 @@ mod tests {
 
     #[test]
     fn time_to_send_grows_with_the_bytes_and_parts_are_put_together_for_minutes() {
-        let patience = RequestTimeouts::default();
-        let part = patience.until_answer(&request(8 << 20));
+        let timeouts = RequestTimeouts::default();
+        let part = timeouts.until_answer(&request(8 << 20));
         assert!(part > Duration::from_secs(8 * 32), "8 MiB at a quarter of a megabit a second: {part:?}");
-        assert_eq!(patience.until_answer(&request(0)), patience.silence);
+        assert_eq!(timeouts.until_answer(&request(0)), timeouts.silence);
         let mut completion = request(1000);
         *completion.method_mut() = "POST".parse().expect("a method");
         *completion.uri_mut() = "/bucket/object?uploadId=1".parse().expect("an address");
-        assert_eq!(patience.until_answer(&completion), patience.assembly);
+        assert_eq!(timeouts.until_answer(&completion), timeouts.assembly);
     }
 }
