@@ -14,7 +14,7 @@ pub(super) struct TrainFlags(TrainOptions);
 
 impl TrainFlags {
     fn rows() -> impl Iterator<Item = &'static TrainOption> {
-        TRAIN_OPTIONS.iter().filter(|row| row.help.is_some())
+        TRAIN_OPTIONS.iter()
     }
 
     /// The options, if a run can have them.
@@ -57,6 +57,7 @@ fn flag(row: &'static TrainOption) -> Arg {
     let flag = Arg::new(row.name)
         .long(row.name.replace('_', "-"))
         .help(row.help.unwrap_or_default())
+        .hide(row.help.is_none())
         .allow_negative_numbers(true);
     let flag = match row.default {
         Some(text) => flag.default_value(text),
@@ -69,6 +70,8 @@ fn flag(row: &'static TrainOption) -> Arg {
     };
     let list = |flag: Arg| flag.value_name("LIST").value_delimiter(',').action(ArgAction::Append);
     match row.kind {
+        // An earlier flag's other values are refused by the options' own check, which has the reason.
+        OptionKind::Choice(_) if row.help.is_none() => flag.value_parser(is_of_kind),
         OptionKind::Choice(names) => flag.value_parser(PossibleValuesParser::new(names)),
         OptionKind::Choices(names) => list(flag).value_parser(PossibleValuesParser::new(names)),
         OptionKind::Positives(_) => list(flag).value_parser(is_of_kind),
@@ -84,7 +87,7 @@ fn flag(row: &'static TrainOption) -> Arg {
 
 #[cfg(test)]
 mod tests {
-    use clap::Parser;
+    use clap::{CommandFactory, Parser};
     use tcgs::domain::{Background, Component, Preset};
 
     use super::*;
@@ -131,6 +134,15 @@ mod tests {
         }
         let both = parse(&["--rd-curve", "0.001", "--max-bytes", "9"]).validated();
         assert_eq!(both.expect_err("impossible").exit_status(), 2);
+    }
+
+    #[test]
+    fn a_flag_of_earlier_versions_is_taken_and_is_not_in_the_help() {
+        let error = parse(&["--until", "converged"]).validated().expect_err("no longer a choice");
+        assert!(error.to_string().contains("runs no longer end early"), "{error}");
+        assert_eq!(parse(&["--until", "full"]).validated(), Ok(TrainOptions::default()));
+        let help = Line::command().render_long_help().to_string();
+        assert!(help.contains("--iterations") && !help.contains("--until"), "{help}");
     }
 
     #[test]

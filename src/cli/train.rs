@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use serde_json::{Value, json};
 use tcgs::{
-    domain::{Convergence, CurvePoint, JobMetrics, Phase, SceneFormat},
+    domain::{CurvePoint, JobMetrics, Phase, SceneFormat},
     pipeline::{CheckpointPlan, JobError, Resume, RunJob as _},
 };
 
@@ -179,7 +179,7 @@ pub(super) fn text(metrics: &JobMetrics) -> String {
         "test      PSNR {} (before quantization {lossless})  SSIM {}{}  over {} views on {}\n\
          train     PSNR {}  SSIM {}  over {} views\n\
          size      {} bytes; {} anchors, {} Gaussians\n\
-         time      {:.1} s training, {} steps, {:.2} steps/s; {:.2} s encoding, {:.2} s decoding\n{}\
+         time      {:.1} s training, {} steps, {:.2} steps/s; {:.2} s encoding, {:.2} s decoding\n\
          adapter   {}\n\
          decoded   {}\n\
          measured  {}",
@@ -201,28 +201,10 @@ pub(super) fn text(metrics: &JobMetrics) -> String {
         metrics.steps_per_second,
         metrics.seconds.encode,
         metrics.seconds.decode,
-        metrics.convergence.as_ref().map_or_else(String::new, converged),
         metrics.adapter,
         metrics.decode_sha256,
         metrics.conventions,
     )
-}
-
-/// A line on how `until=converged` went.
-fn converged(convergence: &Convergence) -> String {
-    let Convergence { views, converged_at, full_steps, steps_saved, seconds_saved, psnr_given_up, .. } =
-        convergence;
-    let text = match converged_at {
-        _ if views.is_empty() => "not watched: the dataset has too few training views".to_owned(),
-        None => format!("not within {full_steps} steps; {} views were kept aside", views.len()),
-        Some(step) => format!(
-            "after step {step}; saved {steps_saved} of {full_steps} steps, about {seconds_saved:.0} s, \
-             at about {:.2} dB ({} views were kept aside)",
-            psnr_given_up.unwrap_or_default(),
-            views.len(),
-        ),
-    };
-    format!("converged {text}\n")
 }
 
 #[cfg(test)]

@@ -87,6 +87,7 @@ pub(super) async fn what_is_wrong_with_a_dataset_or_an_option_is_said_before_a_j
         ("?iterations=many", "iterations"),
         ("?color=red", "color"),
         ("?model=nerf", "model"),
+        ("?until=converged", "iterations"),
         ("?max_bytes=0", "max_bytes"),
         ("?max_bytes=10", "max_bytes"),
         ("?max_bytes=1000&model=scaffold", "max_bytes"),

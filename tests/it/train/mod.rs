@@ -4,7 +4,6 @@ mod adam;
 mod basis;
 mod checkpoint;
 mod context;
-mod convergence;
 mod loss;
 mod memory;
 #[allow(dead_code, reason = "tests of the renderer use the rest")]

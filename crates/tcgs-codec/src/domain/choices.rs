@@ -16,21 +16,6 @@ pub enum SizeBound {
     Memory,
 }
 
-/// The part of a converged run that its file states.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-pub struct ShortenedRun {
-    /// The step after which the rest of the schedule passed faster.
-    pub converged_at: u64,
-    /// Steps of the run.
-    pub steps: u64,
-    /// Steps of the full schedule.
-    pub full_steps: u64,
-    /// Training views that were kept aside.
-    pub views_aside: usize,
-    /// dB given up, an estimate.
-    pub psnr_given_up: f64,
-}
-
 /// What a run chose for its dataset and machine.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Choices {
@@ -45,9 +30,6 @@ pub struct Choices {
     /// What was learnt before the model was narrowed to what its pictures need; none where it was not.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub narrowed_from: Option<Widths>,
-    /// Set if the run converged before its end.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub shortened: Option<ShortenedRun>,
 }
 
 /// The widths of a model.
@@ -92,7 +74,7 @@ impl Choices {
             }
             Voxel::Edge(_) => "the option".to_owned(),
         };
-        let mut all = vec![
+        vec![
             Explanation::new("voxel", edge.to_string(), because),
             Explanation::new(
                 "anchors at most",
@@ -102,18 +84,7 @@ impl Choices {
                     SizeBound::Memory => "more do not fit the adapter or the memory",
                 },
             ),
-        ];
-        all.extend(self.shortened.map(|run| {
-            let because = format!(
-                "{} training views kept aside stopped gaining at step {}; {} steps fewer gave up about {:.2} dB",
-                run.views_aside,
-                run.converged_at,
-                run.full_steps.saturating_sub(run.steps),
-                run.psnr_given_up,
-            );
-            Explanation::new("steps", format!("{} of {}", run.steps, run.full_steps), because)
-        }));
-        all
+        ]
     }
 }
 

@@ -1,4 +1,4 @@
-//! How a run that may stop once it has converged went.
+//! How runs went that earlier versions could end early. Results that are stored still say so; nothing makes new ones.
 
 use serde::{Deserialize, Serialize};
 
@@ -11,7 +11,7 @@ pub struct ValidationScore {
     pub psnr: f64,
 }
 
-/// How a run with `until=converged` went (METHOD.md §2.8).
+/// How a run with `until=converged` went.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Convergence {
     /// Names of the training views that were kept aside; empty if the dataset has too few views.

@@ -208,7 +208,7 @@ pub struct JobMetrics {
     pub conventions: Conventions,
     /// How `max_bytes` was met; null if it was not set.
     pub byte_budget: Option<ByteBudget>,
-    /// How `until=converged` went; null if it was not set.
+    /// How `until=converged` went in a run of an earlier version; null in all others.
     pub convergence: Option<Convergence>,
     /// Coding efficiency; null if nothing was entropy-coded.
     pub coding: Option<CodingEfficiency>,

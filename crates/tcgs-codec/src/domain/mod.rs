@@ -35,7 +35,7 @@ pub mod view;
 
 pub use anchors::{AnchorScene, DenseLayer, Lattice, Mlp, RenderNetworks};
 pub use camera::{Camera, CameraError, Convention, Intrinsics, Pose};
-pub use choices::{Choices, ShortenedRun, SizeBound, Widths};
+pub use choices::{Choices, SizeBound, Widths};
 pub use context_model::{
     AttributeGroup, ContextCandidates, ContextFrame, ContextKind, GroupNetworks, PlaneContext, Planes,
     UpLayer,

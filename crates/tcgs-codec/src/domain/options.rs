@@ -17,6 +17,9 @@ pub const MIN_MAX_BYTES: u64 = 512;
 /// Most points of a rate-distortion curve.
 pub const MAX_CURVE_POINTS: usize = 8;
 
+/// Why `until=converged` is refused.
+const UNTIL_REMOVED: &str = "runs no longer end early, since no trial of it saved a step; leave it out, and set iterations for a shorter run";
+
 /// An option value that is not understood or not possible.
 #[derive(Debug, Clone, PartialEq, Eq, Error)]
 #[error("{option}: {error}")]
@@ -117,11 +120,11 @@ named_choice! {
 }
 
 named_choice! {
-    /// When a run ends.
+    /// When a run ends: after all of its steps.
     pub enum Until {
         /// After all of its steps.
         Full = "full",
-        /// Earlier, if training views that are kept aside have stopped gaining.
+        /// The same. Jobs, checkpoints and files of earlier versions, which could end a run early, still say so.
         Converged = "converged",
     }
 }
@@ -173,7 +176,7 @@ pub struct TrainOptions {
     pub preset: Preset,
     /// Steps; the preset's own number if absent.
     pub iterations: Option<u32>,
-    /// When the run ends; serialized only if it is not after all steps.
+    /// An option of earlier versions, without effect; serialized only where they did.
     #[serde(skip_serializing_if = "is_full")]
     pub until: Until,
     /// Seed of every random choice.
@@ -261,6 +264,9 @@ impl TrainOptions {
                 format!("{iterations} is outside 1..={MAX_ITERATIONS}"),
             ));
         }
+        if self.until != Until::Full {
+            return Err(OptionError::new("until", UNTIL_REMOVED.to_owned()));
+        }
         self.check_voxel()?;
         if let Some(lambda) = self.lambda {
             if !is_positive(lambda) {
@@ -339,11 +345,6 @@ impl TrainOptions {
         }
         if self.model != ModelKind::Tcgs {
             return error(format!("the model {} has no rate to weigh", self.model));
-        }
-        if self.until != Until::Full {
-            return error(
-                "its branches share steps by number; leave out until=converged or rd_curve".to_owned(),
-            );
         }
         if self.lambda.is_some() {
             return error("each of its points has its own lambda; leave out lambda or rd_curve".to_owned());
@@ -510,11 +511,9 @@ pub static TRAIN_OPTIONS: [TrainOption; 14] = [
     },
     TrainOption {
         name: "until",
-        kind: OptionKind::Choice(Until::NAMES),
+        kind: OptionKind::Choice(&["full"]),
         default: Some("full"),
-        help: Some(
-            "End of the run: full, or converged, which shortens the rest of the schedule once training views that are kept aside have stopped gaining",
-        ),
+        help: None,
         set: |options, text| text.parse().ok().map(|until| options.until = until),
     },
     TrainOption {
@@ -765,18 +764,17 @@ mod tests {
     }
 
     #[test]
-    fn a_run_may_end_once_it_has_converged_and_says_so_only_then() {
-        let mut options = TrainOptions::default();
-        let usual = serde_json::to_value(&options).expect("JSON");
-        assert!(usual.get("until").is_none(), "it is not serialized unless set");
-        set_option(&mut options, "until", "converged").expect("a choice");
-        let json = serde_json::to_value(&options).expect("JSON");
-        assert_eq!(json["until"], "converged");
-        assert_eq!(serde_json::from_value::<TrainOptions>(json).expect("options"), options);
-        for model in [ModelKind::Tcgs, ModelKind::Scaffold, ModelKind::Gaussians3d] {
-            assert!(TrainOptions { model, ..options.clone() }.validated().is_ok());
-        }
-        assert!(set_option(&mut options, "until", "soon").is_err());
+    fn runs_that_earlier_versions_could_end_early_are_read_and_new_ones_are_refused_with_the_reason() {
+        let usual = serde_json::to_value(TrainOptions::default()).expect("JSON");
+        assert!(usual.get("until").is_none());
+        let stored = json!({ "until": "converged" });
+        let options: TrainOptions = serde_json::from_value(stored).expect("stored options");
+        assert_eq!(serde_json::to_value(&options).expect("JSON")["until"], "converged");
+        let error = validated(&[("until", "converged")]).expect_err("no longer a choice");
+        assert!(error.option == "until" && error.error.contains("iterations"), "{error}");
+        assert_eq!(validated(&[("until", "full")]), Ok(TrainOptions::default()));
+        let error = set_option(&mut TrainOptions::default(), "until", "soon").expect_err("no choice");
+        assert_eq!(error.to_string(), "until: 'soon' is not one of full");
     }
 
     #[test]
@@ -888,12 +886,7 @@ mod tests {
         let rd_curve = vec![0.001];
         for wrong in [
             TrainOptions { lambda: Some(0.1), rd_curve: rd_curve.clone(), ..TrainOptions::default() },
-            TrainOptions {
-                model: ModelKind::Scaffold,
-                rd_curve: rd_curve.clone(),
-                ..TrainOptions::default()
-            },
-            TrainOptions { until: Until::Converged, rd_curve, ..TrainOptions::default() },
+            TrainOptions { model: ModelKind::Scaffold, rd_curve, ..TrainOptions::default() },
         ] {
             assert!(wrong.validated().is_err());
         }

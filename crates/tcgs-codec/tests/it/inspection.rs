@@ -54,7 +54,6 @@ fn choices_are_explained_from_the_provenance() {
         points: 5000,
         random_points: false,
         narrowed_from: Some(Widths { features: 32, offsets: 10 }),
-        shortened: None,
     };
     let provenance = Provenance {
         settings: serde_json::json!({ "voxel": "published", "choices": choices }),

@@ -74,7 +74,7 @@ pub(super) fn measure(
         background,
         conventions: Conventions::new(inputs.lpips.map(PerceptualDistance::network)),
         byte_budget: written.budget,
-        convergence: trained.convergence.clone(),
+        convergence: None,
         coding: written.coding,
         stages: coding_stages(inputs, background, trained, written, heartbeat)?,
         rendering: rendering_error(inputs, background, &file.scene, heartbeat)?,

@@ -26,12 +26,6 @@ impl AnchorStage {
         step.number >= self.schedule.plain_until
     }
 
-    /// Follows another schedule, within the same limit on anchors.
-    pub(super) fn reschedule(&mut self, schedule: &Schedule) {
-        let max_anchors = self.schedule.max_anchors;
-        self.schedule = Schedule { max_anchors, ..schedule.clone() };
-    }
-
     /// A trainer of anchors in place of the Gaussians.
     pub(super) fn begin(
         &self,

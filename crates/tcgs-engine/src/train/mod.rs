@@ -12,7 +12,6 @@ pub mod budget;
 mod checkpoint;
 mod compression;
 pub mod context;
-mod convergence;
 mod densify;
 mod error;
 mod feature_basis;
@@ -51,8 +50,8 @@ pub use masks::{FIRST_LOGIT, MaskRows, OffsetMasks};
 pub use memory_estimate::{Estimate, OverBudget, PhotographPlace};
 pub use rate_control::{RateControl, RateControlState, SizeAim, SizeLimit};
 pub use schedule::{
-    BaseQuantStepRule, CompressionSchedule, CompressionStage, Decay, DecayShape, MaskSchedule, Pace,
-    Schedule, schedule_table,
+    BaseQuantStepRule, CompressionSchedule, CompressionStage, Decay, DecayShape, MaskSchedule, Schedule,
+    schedule_table,
 };
 pub use statistics::Statistics;
 pub use trained::{Trained, TrainedContext};

@@ -7,7 +7,7 @@
 
 use rand_pcg::Pcg64;
 
-use super::{Result, Schedule, SizeAim, checkpoint::ModelState, trained::TrainedContext};
+use super::{Result, SizeAim, checkpoint::ModelState, trained::TrainedContext};
 use crate::{
     domain::{Camera, CancelFlag, Frame, Scene},
     gpu::{Buffer, Recorder},
@@ -92,9 +92,6 @@ pub(super) trait ModelTrainer {
         step: &Step,
         overflow_flag: &Buffer<u32>,
     ) -> Result<()>;
-
-    /// Follows another schedule from the next step on: the same one with its rest at a faster pace.
-    fn reschedule(&mut self, schedule: &Schedule);
 
     /// Whether the schedule wants [`ModelTrainer::adapt`] after a step.
     fn adapts(&self, step: &Step) -> bool;

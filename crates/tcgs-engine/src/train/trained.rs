@@ -1,7 +1,7 @@
 //! What a training run leaves.
 
 use super::BaseQuantSteps;
-use crate::domain::{Choices, ContextCandidates, Convergence, Scene};
+use crate::domain::{Choices, ContextCandidates, Scene};
 
 /// A finished training run.
 #[derive(Debug, Clone)]
@@ -19,8 +19,6 @@ pub struct Trained {
     pub seconds: f64,
     /// What the run chose for its dataset and machine.
     pub choices: Choices,
-    /// How `until=converged` went; none without it.
-    pub convergence: Option<Convergence>,
 }
 
 /// What compression-aware training leaves for the encoder.

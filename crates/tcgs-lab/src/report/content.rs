@@ -71,7 +71,6 @@ impl ReportContent<'_> {
             ("Runs", self.runs()),
             ("Against the first model", self.to_first()),
             ("Equal seconds", self.equal_seconds()),
-            ("Ended when converged", self.converged()),
             ("Quality against time", against_time),
             ("Where the bytes go", self.bytes()),
             ("Quality against size", against_size),
@@ -169,44 +168,6 @@ impl ReportContent<'_> {
         }
         let note = "Each run against another model's runs of equal seed and session, between whose schedules PSNR and bytes are \
             interpolated at the run's own seconds of training; nothing is extrapolated.";
-        vec![Block::Table(Table::new(head, rows)), Block::Note(note.to_owned())]
-    }
-
-    /// What runs that ended when they had converged save and give up against their full schedule.
-    fn converged(&self) -> Vec<Block<'_>> {
-        let head = texts(&[
-            "set",
-            "model",
-            "steps",
-            "of",
-            "pairs",
-            "training s, ratio",
-            "bytes, ratio",
-            "ΔPSNR dB",
-            "its own estimate",
-        ]);
-        let mut rows = Vec::new();
-        for group in self.groups.iter().filter(|group| !group.is_full()) {
-            let Some(full) = self.groups.iter().find(|other| group.ends_elsewhere_than(other)) else {
-                continue;
-            };
-            let psnr = group.difference(full, |run| run.metrics.test.psnr);
-            let estimated = group
-                .estimate(|run| run.metrics.convergence.as_ref()?.psnr_given_up.map(|given_up| -given_up));
-            rows.push(vec![
-                group.set().to_owned(),
-                group.name(),
-                group.steps(),
-                full.steps(),
-                psnr.map_or(0, |psnr| psnr.runs).to_string(),
-                shown(group.time_ratio(full, |run| run.metrics.seconds.train), 2),
-                shown(group.ratio(full, |run| run.metrics.bytes.total as f64), 3),
-                signed(psnr, 2),
-                signed(estimated, 2),
-            ]);
-        }
-        let note = "Pairs of runs of equal seed and set, with until=converged and in full. The estimate is the one that the run itself \
-            states.";
         vec![Block::Table(Table::new(head, rows)), Block::Note(note.to_owned())]
     }
 

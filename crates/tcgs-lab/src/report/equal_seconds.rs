@@ -39,7 +39,7 @@ fn is_curve_of(group: &Group<'_>, model: &str) -> bool {
 pub fn difference(groups: &[Group<'_>], group: &Group<'_>, model: &str) -> Option<Difference> {
     let others: Vec<&RunRecord> = groups
         .iter()
-        .filter(|other| is_curve_of(other, model) && other.is_comparable(group) && other.is_full())
+        .filter(|other| is_curve_of(other, model) && other.is_comparable(group))
         .flat_map(|other| other.runs.iter().copied())
         .collect();
     let mut differences = Vec::new();

@@ -6,7 +6,7 @@ use std::{collections::BTreeMap, fmt, str::FromStr};
 
 use serde::{Deserialize, Deserializer, de::Error as _};
 use serde_json::Value;
-use tcgs_codec::domain::{Background, ModelKind, Preset, SceneFormat, TrainOptions, Until};
+use tcgs_codec::domain::{Background, ModelKind, Preset, SceneFormat, TrainOptions};
 
 use super::variant::Variant;
 
@@ -60,8 +60,6 @@ pub struct Block {
     presets: Vec<Checked<PresetName>>,
     #[serde(default)]
     steps: Vec<Checked<Steps>>,
-    #[serde(default)]
-    until: Vec<Checked<UntilName>>,
     /// For tcgs alone; the preset's weight if empty.
     #[serde(default)]
     lambda: Vec<Checked<Lambda>>,
@@ -138,7 +136,6 @@ macro_rules! checks {
 checks! {
     Model: Variant = |value| named(value, "a model");
     PresetName: Preset = |value| named(value, "a preset");
-    UntilName: Until = |value| named(value, "an end of runs");
     ExportFormat: SceneFormat = |value| match named(value, "a format")? {
         format @ (SceneFormat::Ply | SceneFormat::Spz | SceneFormat::Spz3) => Ok(format),
         _ => Err(format!("{value} is not a format of plain Gaussians: ply, spz or spz3")),
@@ -173,9 +170,6 @@ impl fmt::Display for PlannedRun {
         write!(f, "{} {}", self.set, self.model)?;
         if let Some(lambda) = self.options.lambda {
             write!(f, "@{lambda}")?;
-        }
-        if self.options.until == Until::Converged {
-            f.write_str(" until converged")?;
         }
         write!(f, " seed {}", self.options.seed)
     }
@@ -279,19 +273,16 @@ impl Block {
         let presets = if presets.is_empty() { vec![TrainOptions::default().preset] } else { presets };
         let steps: Vec<Option<u32>> = self.steps.iter().map(|steps| Some(steps.0)).collect();
         let steps = if steps.is_empty() { vec![None] } else { steps };
-        let untils: Vec<Until> = self.until.iter().map(|until| until.0).collect();
-        let untils = if untils.is_empty() { vec![TrainOptions::default().until] } else { untils };
         let background = self.background.unwrap_or(TrainOptions::default().background);
         let mut schedules = Vec::new();
         for preset in presets {
             for iterations in &steps {
-                schedules.extend(untils.iter().map(|until| TrainOptions {
+                schedules.push(TrainOptions {
                     preset,
                     iterations: *iterations,
-                    until: *until,
                     background,
                     ..TrainOptions::default()
-                }));
+                });
             }
         }
         schedules
@@ -350,20 +341,6 @@ mod tests {
     }
 
     #[test]
-    fn a_run_is_full_or_ends_when_it_has_converged() {
-        let matrix = "[[runs]]\nmodels = [\"3dgs\", \"tcgs\"]\nuntil = [\"full\", \"converged\"]\n";
-        let plan = Matrix::parse(matrix).expect("a matrix").plan(&["a".to_owned()]).expect("a plan");
-        let names: Vec<String> = plan.iter().map(ToString::to_string).collect();
-        let expected = [
-            "a 3dgs seed 0",
-            "a tcgs seed 0",
-            "a 3dgs until converged seed 0",
-            "a tcgs until converged seed 0",
-        ];
-        assert_eq!(names, expected);
-    }
-
-    #[test]
     fn blocks_that_overlap_make_a_run_once() {
         let matrix = Matrix::parse(&format!("{SMALL}\n{SMALL}")).expect("a matrix");
         assert_eq!(matrix.plan(&["a".to_owned()]).expect("a plan").len(), 6);
@@ -386,7 +363,7 @@ mod tests {
             ("[[runs]]\nmodels = [\"tcgs\"]\nsteps = [0]\n", &["line 3", "0 is not a number of steps"]),
             ("[[runs]]\nmodels = [\"tcgs\"]\nlambda = [-1.0]\n", &["line 3", "not a positive weight"]),
             ("[[runs]]\nmodels = [\"tcgs@0.1\"]\n", &["line 2", "lambda"]),
-            ("[[runs]]\nmodels = [\"tcgs\"]\nuntil = [\"soon\"]\n", &["line 3", "full, converged"]),
+            ("[[runs]]\nmodels = [\"tcgs\"]\nuntil = [\"full\"]\n", &["line 3", "until"]),
             ("[[runs]]\nmodel = [\"tcgs\"]\n", &["line 2", "model"]),
             ("[[runs]]\nmodels = [\"tcgs\"]\npresets = [\"fast\"]\n", &["line 3", "fast"]),
             ("[[runs]]\nmodels = []\n", &["number 1", "models is empty"]),

@@ -1,7 +1,7 @@
 //! Runs that differ in their seed alone, with the means and 95 % intervals of their figures, and comparisons of such groups.
 
 use crate::bjontegaard::{CurveFit, RatePoint, psnr_difference, rate_difference};
-use tcgs_codec::domain::{ModelKind, TrainOptions, Until};
+use tcgs_codec::domain::{ModelKind, TrainOptions};
 use tcgs_engine::eval::Estimate;
 
 use super::record::RunRecord;
@@ -62,11 +62,6 @@ impl<'a> Group<'a> {
         &self.first().set
     }
 
-    /// Whether its runs made all steps of their schedule.
-    pub fn is_full(&self) -> bool {
-        self.first().options.until == Until::Full
-    }
-
     /// Steps of its runs: one number if they are the same.
     pub fn steps(&self) -> String {
         let steps = self.first().metrics.steps;
@@ -77,22 +72,11 @@ impl<'a> Group<'a> {
         mean.map_or_else(|| steps.to_string(), |mean| mean.text(0))
     }
 
-    /// Whether its runs are those of the other but for where they end.
-    pub fn ends_elsewhere_than(&self, other: &Group<'_>) -> bool {
-        let [a, b] = [self.first(), other.first()];
-        let options = TrainOptions { seed: b.options.seed, until: b.options.until, ..a.options.clone() };
-        self.is_comparable(other)
-            && a.model == b.model
-            && a.options.until != b.options.until
-            && options == b.options
-    }
-
-    /// Model and weight, as `tcgs@0.002`, and whether it ended when it had converged.
+    /// Model and weight, as `tcgs@0.002`.
     pub fn name(&self) -> String {
         let first = self.first();
         let weight = first.options.lambda.map_or_else(String::new, |lambda| format!("@{lambda}"));
-        let until = if self.is_full() { "" } else { " until converged" };
-        format!("{}{weight}{until}{}", first.model, self.on_adapter())
+        format!("{}{weight}{}", first.model, self.on_adapter())
     }
 
     /// The model, as `tcgs`.
@@ -224,11 +208,10 @@ impl Curve {
     /// its schedules; the formats that a scene of plain Gaussians was converted to make one more.
     pub fn all(groups: &[Group<'_>]) -> Vec<Self> {
         let mut curves: Vec<Self> = Vec::new();
-        for group in groups.iter().filter(|group| group.is_full()) {
+        for group in groups {
             let run = group.first();
             let is_weighted = groups.iter().any(|other| {
                 other.is_comparable(group)
-                    && other.is_full()
                     && other.first().model == run.model
                     && other.has_schedule_of(group)
                     && other.first().options.lambda != run.options.lambda

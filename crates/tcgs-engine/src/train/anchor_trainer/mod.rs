@@ -341,14 +341,6 @@ impl ModelTrainer for AnchorTrainer {
         Ok(())
     }
 
-    fn reschedule(&mut self, schedule: &Schedule) {
-        let max_anchors = self.schedule.max_anchors;
-        self.schedule = Schedule { max_anchors, ..schedule.clone() };
-        if let (Some(compression), Some(schedule)) = (&mut self.compression, &schedule.compression) {
-            compression.reschedule(schedule.clone());
-        }
-    }
-
     fn adapts(&self, step: &Step) -> bool {
         let changes_stage =
             self.compression.as_ref().is_some_and(|compression| compression.changes_stage_after(step.number));

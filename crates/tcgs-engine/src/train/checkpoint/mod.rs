@@ -82,8 +82,9 @@ impl Checkpoint {
         steps: u32,
         frames: usize,
     ) -> Result<(RunState, ModelState), CheckpointError> {
-        self.run.check(identity, steps, frames)?;
-        Ok((self.run, self.model))
+        let run = self.run.at_full_length(steps);
+        run.check(identity, steps, frames)?;
+        Ok((run, self.model))
     }
 }
 
@@ -193,6 +194,23 @@ mod tests {
         old.run.generator = "tcgs 0.0.1".to_owned();
         let error = old.open(identity(&options), 30, 4).expect_err("another program").to_string();
         assert!(error.contains("tcgs 0.0.1"), "{error}");
+    }
+
+    #[test]
+    fn a_run_that_an_earlier_version_shortened_resumes_at_the_step_of_the_schedule_that_it_had_come_to() {
+        let options = options();
+        let resumed = |scores: &str, steps| {
+            let run = serde_json::to_string(&checkpoint().run).expect("JSON");
+            let run = format!("{},\"scores\":{scores}}}", run.trim_end_matches('}'));
+            let run: RunState = serde_json::from_str(&run).expect("the state of an earlier version");
+            Checkpoint::new(run, checkpoint().model).open(identity(&options), steps, 4).expect("resumes").0
+        };
+        let converged = r#"{"all":[[20,4628574517030027264]],"converged":{"step":20,"psnr":1,"gain":2}}"#;
+        assert_eq!(resumed(converged, 60).step, 50, "10 of 30 steps at three times the pace");
+        assert_eq!(resumed(converged, 45).step, 45, "its last step");
+        let run = resumed(r#"{"all":[],"converged":null}"#, 60);
+        assert_eq!(run.step, 30);
+        assert_eq!(run, checkpoint().run, "nothing is left of it");
     }
 
     #[test]

@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 use super::{CheckpointError, GENERATOR};
 use crate::{
     domain::{Digest, SceneFrame, TrainOptions},
-    train::{LossSums, RateControl, RateControlState, convergence::Scores},
+    train::{LossSums, RateControl, RateControlState},
 };
 
 /// The state of a run between two steps, without its model.
@@ -47,9 +47,21 @@ pub(in crate::train) struct RunState {
     anchor_bits: Option<u64>,
     /// Estimated bytes of the file.
     file_bytes: Option<u64>,
-    /// Scores of the views kept aside, if the run may stop once it has converged.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub(in crate::train) scores: Option<Scores>,
+    /// What an earlier version stored of a run that it could end early; never written.
+    #[serde(default, skip_serializing)]
+    scores: Option<EarlyEnd>,
+}
+
+/// How a run with `until=converged` went that an earlier version began.
+#[derive(Debug, Clone, Copy, PartialEq, Deserialize)]
+struct EarlyEnd {
+    converged: Option<Converged>,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Deserialize)]
+struct Converged {
+    /// The step after which each step passed through three of the schedule.
+    step: u32,
 }
 
 /// What identifies a run: a checkpoint can only be resumed by the same one.
@@ -106,6 +118,15 @@ impl RunState {
             tracing::warn!("growth limit lowered from {before} to {max_size}; bits may differ");
             self.max_size = max_size;
         }
+    }
+
+    /// The state as one of a run of full length: at the step of the schedule that the run has come to.
+    pub(super) fn at_full_length(mut self, steps: u32) -> Self {
+        if let Some(Converged { step: after }) = self.scores.take().and_then(|run| run.converged) {
+            let faster = self.step.saturating_sub(after);
+            self.step = self.step.saturating_add(faster.saturating_mul(2)).min(steps);
+        }
+        self
     }
 
     /// The scene's frame. Numbers that are none count as the world's, which the check of the state refuses.

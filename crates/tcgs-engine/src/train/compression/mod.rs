@@ -94,11 +94,6 @@ impl Compression {
         }
     }
 
-    /// Follows another schedule from the next step on.
-    pub(in crate::train) fn reschedule(&mut self, schedule: CompressionSchedule) {
-        self.schedule = schedule;
-    }
-
     /// Whether another stage starts after `step`.
     pub(in crate::train) fn changes_stage_after(&self, step: u32) -> bool {
         self.schedule.changes_stage_after(step)

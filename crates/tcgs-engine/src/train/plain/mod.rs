@@ -8,7 +8,7 @@ use std::sync::Arc;
 use rand_pcg::Pcg64;
 
 use super::{
-    Adam, AdamStep, CheckpointError, Moments, Result, Schedule, TrainError,
+    Adam, AdamStep, CheckpointError, Moments, Result, TrainError,
     anchor_stage::AnchorStage,
     checkpoint::ModelState,
     model_trainer::{BitrateSample, FigureBuffers, FinishedModel, ModelSize, ModelTrainer, Step, Views},
@@ -227,14 +227,6 @@ impl ModelTrainer for PlainTrainer {
         }
         recorder.stage("optimizer");
         self.learn(recorder, step, overflow_flag)
-    }
-
-    fn reschedule(&mut self, schedule: &Schedule) {
-        let max_gaussians = self.schedule.max_gaussians;
-        self.schedule = PlainSchedule { max_gaussians, ..schedule.plain.clone() };
-        if let Some(next) = &mut self.next {
-            next.reschedule(schedule);
-        }
     }
 
     fn adapts(&self, step: &Step) -> bool {

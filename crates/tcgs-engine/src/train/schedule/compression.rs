@@ -2,7 +2,7 @@
 //!
 //! Invariant: the stages follow each other in the order of [`CompressionStage`].
 
-use super::{Decay, Pace};
+use super::Decay;
 use crate::{
     codec::RegressionSearch,
     domain::{Component, ContextKind, ModelKind, Preset, TrainOptions},
@@ -93,8 +93,6 @@ pub struct CompressionSchedule {
     pub rounded_from: u32,
     /// Last step.
     pub steps: u32,
-    /// The run's pace along the schedule, which the steps above already follow.
-    pub pace: Pace,
     /// How base quantization steps are chosen.
     pub base: BaseQuantStepRule,
     /// Weight of the bits per element in the loss.
@@ -132,7 +130,6 @@ impl CompressionSchedule {
             reconstruct_from: part(0.5) + 1,
             rounded_from: part(0.85) + 1,
             steps,
-            pace: Pace::full(steps),
             base: if paper { BaseQuantStepRule::Published } else { SHORT },
             lambda: options.lambda.unwrap_or_else(|| default_lambda(options.preset)),
             seed: options.seed,
@@ -162,19 +159,6 @@ impl CompressionSchedule {
         }
     }
 
-    /// The stages of the same run at a pace.
-    pub(super) fn at_pace(&self, pace: &Pace) -> Self {
-        Self {
-            noise_from: pace.step_of(self.noise_from),
-            context_from: pace.step_of(self.context_from),
-            reconstruct_from: pace.step_of(self.reconstruct_from),
-            rounded_from: pace.step_of(self.rounded_from),
-            steps: pace.steps(),
-            pace: *pace,
-            ..self.clone()
-        }
-    }
-
     /// The stage of `step`.
     #[must_use]
     pub fn stage(&self, step: u32) -> CompressionStage {
@@ -198,9 +182,9 @@ impl CompressionSchedule {
     /// Progress of the context model's training at `step`: 0 before its first step, 1 at the run's last.
     #[must_use]
     pub fn context_progress(&self, step: u32) -> f64 {
-        let before = self.pace.place(self.context_from.saturating_sub(1));
-        let whole = self.pace.place(self.steps).saturating_sub(before).max(1);
-        f64::from(self.pace.place(step).saturating_sub(before)) / f64::from(whole)
+        let before = self.context_from.saturating_sub(1);
+        let whole = self.steps.saturating_sub(before).max(1);
+        f64::from(step.saturating_sub(before)) / f64::from(whole)
     }
 
     /// Weight of the planes' reconstruction loss at `step`.

@@ -3,14 +3,12 @@
 
 mod compression;
 mod growth;
-mod pace;
 mod plain;
 mod table;
 
 use std::ops::Range;
 
 pub use compression::{BaseQuantStepRule, CompressionSchedule, CompressionStage};
-pub use pace::Pace;
 pub(super) use plain::PlainSchedule;
 pub use table::schedule_table;
 
@@ -109,9 +107,6 @@ const COARSEST_GROWTH: u16 = 16;
 /// have so few bytes an anchor that two more bits an axis are 3 to 5 % of a file, and offsets say where Gaussians are.
 const COARSEST_PREVIEW_GROWTH: u16 = 4;
 
-/// Share of the schedule after which a run is no longer watched for convergence.
-const LATEST_CONVERGENCE: f64 = 0.9;
-
 /// Share of the run in which an anchor model whose points are random is plain Gaussians, and the most steps of it: after them the
 /// surfaces are found, however long the run.
 const PLAIN_SHARE: f64 = 0.2;
@@ -142,22 +137,6 @@ impl MaskSchedule {
         (self.from..=self.until).contains(&step)
     }
 
-    /// The schedule at a pace: in fewer steps, logits come as far with a larger learning rate.
-    fn at_pace(&self, pace: &Pace) -> Self {
-        let factor = f64::from(pace.factor(pace.step_of(self.until)));
-        Self {
-            from: pace.step_of(self.from),
-            loss_from: pace.step_of(self.loss_from),
-            until: pace.step_of(self.until),
-            learning_rate: Decay {
-                start: factor * self.learning_rate.start,
-                end: factor * self.learning_rate.end,
-                ..self.learning_rate
-            },
-            ..*self
-        }
-    }
-
     /// The loss's weight at `step`.
     #[must_use]
     pub fn weight_at(&self, step: u32) -> f32 {
@@ -172,8 +151,6 @@ pub struct Schedule {
     pub model: ModelKind,
     /// Steps in all.
     pub steps: u32,
-    /// The run's pace along the schedule, which all landmarks below already follow.
-    pub pace: Pace,
     /// Widths of the anchor model.
     pub shape: ModelShape,
     /// Whether features and networks begin with the colors of a point cloud (METHOD.md §2.10); else features at 0 and networks
@@ -261,7 +238,6 @@ impl Schedule {
         Self {
             model: options.model,
             steps,
-            pace: Pace::full(steps),
             shape,
             begins_colored: options.preset != Preset::Paper,
             voxel: match options.voxel {
@@ -331,59 +307,10 @@ impl Schedule {
         }
     }
 
-    /// The same schedule with its rest, after `step`, at a faster pace, so that growth, masks, the context model and rounding still
-    /// follow each other and learning rates end where they do in a run of full length. Masks learn faster, to come as far.
-    #[must_use]
-    pub fn hastened_after(&self, step: u32) -> Self {
-        let pace = Pace::hastened_after(self.steps, step);
-        let at = |landmark: u32| pace.step_of(landmark);
-        Self {
-            steps: pace.steps(),
-            pace,
-            plain_until: at(self.plain_until),
-            statistics_from: at(self.statistics_from),
-            densify_from: at(self.densify_from),
-            densify_until: at(self.densify_until),
-            densify_pause: self.densify_pause.as_ref().map(|pause| at(pause.start)..at(pause.end)),
-            masks: self.masks.map(|masks| masks.at_pace(&pace)),
-            narrowing_estimates: self.narrowing_estimates.iter().map(|step| at(*step)).collect(),
-            compression: self.compression.as_ref().map(|compression| {
-                let hastened = compression.at_pace(&pace);
-                // Steps that followed each other may have become one.
-                if self.plain_until > 0 { hastened.not_before(at(self.plain_until)) } else { hastened }
-            }),
-            plain: self.plain.at_pace(&pace),
-            ..self.clone()
-        }
-    }
-
     /// The share of the schedule that is done after `step`.
     #[must_use]
     pub fn fraction(&self, step: u32) -> f64 {
-        self.pace.fraction(step)
-    }
-
-    /// The steps in which a run may be found to have converged: not while masks remove offsets, nor so late that nothing is left to
-    /// shorten.
-    #[must_use]
-    pub fn may_converge(&self) -> Range<u32> {
-        let late = (f64::from(self.steps) * LATEST_CONVERGENCE) as u32;
-        let masks = self.masks.map_or(late, |masks| masks.loss_from);
-        let rounded = self.compression.as_ref().map_or(late, |compression| compression.rounded_from);
-        1..late.min(masks).min(rounded)
-    }
-
-    /// The first steps after which the same scene is rendered otherwise than after the step before: as anchors, with noise, rounded,
-    /// or with its opacities reset. Anchors are made and opacities reset at the end of their step, stages begin with the next.
-    #[must_use]
-    pub fn disturbances(&self) -> Vec<u32> {
-        let disturbs = |step: &u32| match (&self.compression, self.model) {
-            _ if *step == self.plain_until => true,
-            (Some(compression), _) => compression.changes_stage_after(*step - 1),
-            (None, ModelKind::Gaussians3d) => self.plain.resets(*step),
-            (None, _) => false,
-        };
-        (1..=self.steps).filter(disturbs).collect()
+        f64::from(step) / f64::from(self.steps.max(1))
     }
 
     /// Whether the host is busy for long after `step`: with passes over the training views, or the choice of a context model.
@@ -596,16 +523,6 @@ mod tests {
                 if let Some(compression) = &schedule.compression {
                     assert!(compression.noise_from > until && compression.context_from > until);
                 }
-                assert_eq!(schedule.disturbances().contains(&until), until > 0);
-            }
-        }
-        for steps in [1000, 2000] {
-            let options = TrainOptions { iterations: Some(steps), ..TrainOptions::default() };
-            let whole = Schedule::new(&options).for_points(true);
-            for after in 1..whole.plain_until {
-                let hastened = whole.hastened_after(after);
-                let compression = hastened.compression.expect("compression");
-                assert!(compression.noise_from > hastened.plain_until, "{steps} steps, {after}");
             }
         }
         let with_points = Schedule::new(&TrainOptions::default()).for_points(false);

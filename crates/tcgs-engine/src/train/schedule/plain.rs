@@ -17,7 +17,7 @@
 //! would end before Gaussians are where they belong. Hence the factors, which are one from 30 000 steps on and stay at their
 //! values of 300 steps below those.
 
-use super::{Decay, Pace, speedup};
+use super::{Decay, speedup};
 use crate::domain::{Background, Preset, TrainOptions};
 
 /// Steps that a reset of opacities needs to be made good.
@@ -101,16 +101,6 @@ impl PlainSchedule {
             degree_every: u32::MAX,
             max_gaussians,
             ..self
-        }
-    }
-
-    /// The schedule of the same run at a pace. A reset could no longer be made good, so there are none at the faster pace.
-    pub(super) fn at_pace(&self, pace: &Pace) -> Self {
-        Self {
-            densify_from: pace.step_of(self.densify_from),
-            densify_until: pace.step_of(self.densify_until),
-            reset_until: pace.first_hastened().map_or(self.reset_until, |step| self.reset_until.min(step)),
-            ..self.clone()
         }
     }
 

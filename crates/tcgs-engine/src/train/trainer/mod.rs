@@ -17,7 +17,6 @@ use super::{
     anchor_trainer::AnchorTrainer,
     batch::{Batch, Flight, REPORT_INTERVAL},
     checkpoint::{ModelState, RunIdentity, RunState},
-    convergence::{Scores, Watch},
     model_trainer::{BitrateSample, FigureBuffers, FinishedModel, ModelTrainer, Step, Views},
     photographs::Photographs,
     plain::PlainTrainer,
@@ -27,9 +26,9 @@ use super::{
 };
 use crate::{
     domain::{
-        Background, Camera, CancelFlag, Choices, Component, Convergence, Dataset, FailurePoint, Frame,
-        MemoryBudget, ModelKind, NearPlane, Progress, Scene, SceneFrame, ShortenedRun, SizeBound, Split,
-        TrainOptions, Until, Widths, failure_point::reach,
+        Background, Camera, CancelFlag, Choices, Component, Dataset, FailurePoint, Frame, MemoryBudget,
+        ModelKind, NearPlane, Progress, Scene, SceneFrame, SizeBound, Split, TrainOptions, Widths,
+        failure_point::reach,
     },
     gpu::{Binding, Device, KernelVariant, RawBuffer, Readback, Recorder},
     init::random_points,
@@ -253,14 +252,9 @@ enum Goal {
 
 struct Run {
     device: Arc<Device>,
-    /// From the step after convergence on, the hastened one.
     schedule: Schedule,
-    /// See [`TrainOptions::max_bytes`].
-    max_bytes: Option<u64>,
     /// What was chosen for the dataset and the machine.
     choices: Choices,
-    /// Decides whether the run has converged, if it may stop then.
-    watch: Option<Watch>,
     /// Where the scene's coordinates are in the world.
     frame: SceneFrame,
     /// The training photographs, with cameras in the frame.
@@ -311,10 +305,6 @@ impl Run {
         tracing::info!("memory: {estimate}");
         let preset_size = schedule.max_size();
         warn_if_capped(preset_size, &estimate);
-        let watch = (options.until == Until::Converged).then(|| {
-            let (window, disturbances) = (schedule.may_converge(), schedule.disturbances());
-            Watch::new(schedule.steps, set.frames.len(), window, disturbances)
-        });
         let adapter = device.adapter_line();
         let max_size = estimate.size;
         let identity = RunIdentity { options, dataset: dataset.digest, adapter: &adapter, max_size };
@@ -324,9 +314,6 @@ impl Run {
                 tracing::info!(step = state.step, "resuming from step {}", state.step);
                 state.continue_on(&adapter, max_size);
                 schedule.set_max_size(state.max_size);
-                if let Some(step) = state.scores.as_ref().and_then(Scores::converged_after) {
-                    schedule = schedule.hastened_after(step);
-                }
                 let factory = ModelFactory { device, set: &set, schedule: schedule.clone() };
                 (state, factory.resume(saved)?)
             }
@@ -336,9 +323,7 @@ impl Run {
                 schedule.set_max_size(max_size);
                 let factory = ModelFactory { device, set: &set, schedule: schedule.clone() };
                 let model = factory.create(&mut rng)?;
-                let mut state = RunState::new(identity, frame, rng, lambda);
-                state.scores = watch.is_some().then(Scores::default);
-                (state, model)
+                (RunState::new(identity, frame, rng, lambda), model)
             }
         };
         let control = schedule.rate_control(options.max_bytes).map(|control| state.resume_control(control));
@@ -348,15 +333,12 @@ impl Run {
             points: if cloud > 0 { cloud } else { schedule.random_points },
             random_points: cloud == 0,
             narrowed_from: None,
-            shortened: None,
         };
         let near = NearPlane::of_extent(scene_extent(&set)).depth();
         let settings = RasterSettings { near, ..RasterSettings::default() };
         let now = Instant::now();
         Ok(Self {
-            max_bytes: options.max_bytes,
             choices,
-            watch,
             schedule,
             control,
             background: options.background,
@@ -416,8 +398,6 @@ impl Run {
             self.advance(&mut |step| step == last || writer.wants(step), cancel)?;
             let step = self.state.step;
             if self.flights.is_empty() {
-                // After the losses and the size of the step's own view were read, and before the checkpoint, which holds the score.
-                self.score_views_aside()?;
                 // Before the report, which states its step. A run that is cancelled in a long pause goes on from the step before it.
                 if writer.wants(step) || self.schedule.pauses_after(step + 1) || step == self.last(goal) {
                     writer.save(self);
@@ -430,16 +410,11 @@ impl Run {
         Ok(())
     }
 
-    /// The next photograph: all of them in random order, but for those kept aside, then again in another order.
+    /// The next photograph: all of them in random order, then again in another order.
     fn next_frame(&mut self) -> usize {
-        let next_step = self.state.step + 1;
-        let RunState { order, rng, scores, .. } = &mut self.state;
+        let RunState { order, rng, .. } = &mut self.state;
         if order.is_empty() {
-            let aside = match (&self.watch, scores) {
-                (Some(watch), Some(scores)) if watch.keeps_aside(scores, next_step) => &watch.aside[..],
-                _ => &[],
-            };
-            order.extend((0..self.frames.len()).filter(|index| !aside.contains(index)));
+            order.extend(0..self.frames.len());
             order.shuffle(rng);
         }
         order.pop().unwrap_or(0)
@@ -452,65 +427,6 @@ impl Run {
             lambda: self.state.lambda(),
             size_aim: self.control.as_ref().map(RateControl::aim),
         }
-    }
-
-    /// Whether views kept aside are scored after `step`.
-    fn scores_after(&self, step: u32) -> bool {
-        match (&self.watch, &self.state.scores) {
-            (Some(watch), Some(scores)) => watch.scores_after(scores, step),
-            _ => false,
-        }
-    }
-
-    /// Scores the views kept aside, if the last step is one after which they are, and hastens the rest of the run if they have stopped
-    /// gaining.
-    fn score_views_aside(&mut self) -> Result<()> {
-        let step = self.state.step;
-        if !self.scores_after(step) {
-            return Ok(());
-        }
-        let Some(watch) = self.watch.clone() else { return Ok(()) };
-        let mut sum = 0.0;
-        for index in &watch.aside {
-            sum += self.psnr_of_view(*index)?;
-        }
-        let psnr = sum / watch.aside.len().max(1) as f64;
-        let Some(scores) = &mut self.state.scores else { return Ok(()) };
-        watch.observe(scores, step, psnr);
-        if scores.converged_after() == Some(step) {
-            self.hasten();
-        }
-        Ok(())
-    }
-
-    /// PSNR of the training view `index` as the last step renders the scene, in dB.
-    fn psnr_of_view(&mut self, index: usize) -> Result<f64> {
-        let step = self.at(self.state.step);
-        let camera = self.frames[index].camera;
-        let size = [camera.intrinsics.width, camera.intrinsics.height];
-        let device = Arc::clone(&self.device);
-        loop {
-            let mut recorder = device.recorder("view kept aside");
-            let photograph = self.photographs.bring(&mut recorder, index)?;
-            self.model.forward(&mut recorder, &camera, &step)?;
-            self.raster.forward(&mut recorder, self.model.gaussians(), &camera, self.background.rgb())?;
-            self.loss.record(&mut recorder, size, self.raster.image(), &photograph, None)?;
-            recorder.submit()?;
-            match self.raster.take_forward_passes()?.required {
-                None => return Ok(self.sums()?.psnr()),
-                Some(needed) => self.raster.reserve(needed)?,
-            }
-        }
-    }
-
-    /// Passes through the rest of the schedule at a faster pace.
-    fn hasten(&mut self) {
-        let step = self.state.step;
-        self.schedule = self.schedule.hastened_after(step);
-        self.model.reschedule(&self.schedule);
-        let control = self.schedule.rate_control(self.max_bytes);
-        self.control = control.map(|control| self.state.resume_control(control));
-        tracing::info!(step, steps = self.schedule.steps, "converged: the rest of the schedule is shortened");
     }
 
     /// Submits a batch of steps: up to the next one that the host has to act after, or that `wanted` names. Settles the batch before it,
@@ -577,7 +493,6 @@ impl Run {
     /// Whether the host has to act on the state after a step, before the next one.
     fn pauses_after(&self, step: &Step) -> bool {
         step.number == self.schedule.steps
-            || self.scores_after(step.number)
             || self.model.adapts(step)
             || self.schedule.pauses_after(step.number + 1)
             // The report changes lambda.
@@ -723,12 +638,6 @@ impl Run {
         Ok(())
     }
 
-    /// The losses of the last step.
-    fn sums(&self) -> Result<LossSums> {
-        let diverged = TrainError::Diverged { step: self.state.step };
-        self.loss.sums()?.filter(|sums| sums.loss().is_finite()).ok_or(diverged)
-    }
-
     /// The progress report of `step`, whose figures these are.
     fn progress(&mut self, step: u32, figures: &Figures) -> Progress {
         let average = self.state.average();
@@ -770,24 +679,11 @@ impl Run {
         let unrounded = unrounded.map(|scene| scene.in_frame(self.frame));
         let seconds = self.state.seconds + self.started.elapsed().as_secs_f64();
         let steps = self.schedule.steps;
-        let convergence = match (&self.watch, &self.state.scores) {
-            (Some(watch), Some(scores)) => Some(watch.report(scores, &self.frames, steps, seconds)),
-            _ => None,
-        };
-        let shortened = convergence.as_ref().and_then(|convergence: &Convergence| {
-            Some(ShortenedRun {
-                converged_at: convergence.converged_at?,
-                steps: u64::from(steps),
-                full_steps: convergence.full_steps,
-                views_aside: convergence.views.len(),
-                psnr_given_up: convergence.psnr_given_up?,
-            })
-        });
         let learnt = self.schedule.shape;
         let narrowed = matches!(&scene, Scene::Anchors(scene) if ModelShape::of(scene) != learnt);
         let narrowed_from = narrowed.then_some(Widths { features: learnt.features, offsets: learnt.offsets });
-        let choices = Choices { narrowed_from, shortened, ..self.choices };
-        Ok(Trained { scene, unrounded, context, steps, seconds, choices, convergence })
+        let choices = Choices { narrowed_from, ..self.choices };
+        Ok(Trained { scene, unrounded, context, steps, seconds, choices })
     }
 }
 
