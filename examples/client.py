@@ -23,7 +23,7 @@ import requests
 
 PART = 8 << 20
 TRIES = 8
-# Slowest connection on which a part is sent to its end, in bytes a second.
+# Slowest connection on which a part is sent to its end, in bytes per second.
 SLOWEST = 32 << 10
 # How long a request is repeated while an earlier one for the same thing is still being answered, in seconds.
 UNDER_WAY = 600

@@ -225,7 +225,7 @@ def other_recordings(rows):
 
 def views(machine):
     for _, run in machine.figures("views"):
-        yield "#### Views, frames a second"
+        yield "#### Views, frames per second"
         scene = next((Path(word).name for word in run["command"].split() if word.endswith(".tcgs")), "")
         yield f"The scene is `{scene}`."
         rows = [

@@ -5,7 +5,7 @@
 //! (`RAYON_NUM_THREADS` chooses otherwise). Each figure is of the fastest of several runs, which load on the machine
 //! disturbs least.
 //!
-//! `MB` is what a stage must at least read and write, `Msym/s` symbols a second. `of copy` says which share of the rate
+//! `MB` is what a stage must at least read and write, `Msym/s` symbols per second. `of copy` says which share of the rate
 //! of a plain copy its bytes go at, `of sums` which share of the rate of plain products its products; a stage that codes
 //! symbols one after another is far below both, and its symbols a second are what counts.
 

@@ -1,4 +1,4 @@
-// Rounds colors to 8 bits a channel, four in a word, red lowest: a view takes a quarter of the bytes to read back.
+// Rounds colors to 8 bits per channel, four in a word, red lowest: a view takes a quarter of the bytes to read back.
 
 #import tcgs::index::lane_index
 

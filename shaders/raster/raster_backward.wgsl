@@ -18,7 +18,7 @@
 @group(0) @binding(5) var<storage, read> image: array<vec4f>;
 @group(0) @binding(6) var<storage, read> last: array<u32>;
 @group(0) @binding(7) var<storage, read> d_image: array<vec4f>;
-// Nine numbers a slot: center (2), opacity, conic (3), color (3).
+// Nine numbers per slot: center (2), opacity, conic (3), color (3).
 @group(0) @binding(8) var<storage, read_write> slot_gradients: array<f32>;
 
 #ifdef SUBGROUPS

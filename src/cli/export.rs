@@ -198,7 +198,7 @@ fn text(summary: &Summary) -> String {
         let [x, y, z] = place.offset;
         lines.push(match place.offset == [0.0; 3] {
             true => format!(
-                "place     world coordinates, which single precision rounds by {:.3} units a Gaussian on average, {:.2} of its \
+                "place     world coordinates, which single precision rounds by {:.3} units per Gaussian on average, {:.2} of its \
                  standard deviations",
                 rounding.mean_shift, rounding.mean_shift_in_deviations
             ),

@@ -81,9 +81,9 @@ impl Default for Meters {
         let all = &mut registry;
         let requests = Requests::new_with_constructor(|| Histogram::new(REQUEST_SECONDS));
         let requests =
-            named(all, "http_request_duration_seconds", "Time until a request's answer began", requests);
+            named(all, "http_request_duration_seconds", "Time to the first byte of the response", requests);
         let active_requests =
-            named(all, "http_active_requests", "Requests whose answer has not begun", Gauge::default());
+            named(all, "http_active_requests", "Requests without a response yet", Gauge::default());
         let connections = named(all, "http_connections", "Open connections", Gauge::default());
         let refused = "Connections closed because their address had too many";
         let connections_refused = named(all, "http_connections_refused", refused, Counter::default());

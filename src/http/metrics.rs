@@ -69,7 +69,7 @@ fn jobs(registry: &mut Registry, figures: &StoreStats, now: Timestamp) {
 }
 
 fn attempts(registry: &mut Registry, figures: &StoreStats) {
-    counter(registry, "claims", "Attempts begun", figures.claims as f64);
+    counter(registry, "claims", "Attempts started", figures.claims as f64);
     let ended = Counters::default();
     for attempt in &figures.attempts {
         let labels = vec![

@@ -200,7 +200,7 @@ pub async fn collect_garbage(
     stop: CancellationToken,
 ) {
     loop {
-        let began = Instant::now();
+        let started = Instant::now();
         // First, so that the blobs of removed jobs are collected at once.
         match remove_expired(&store, policy.keep_jobs, &stop).await {
             Ok(0) => {}
@@ -233,9 +233,9 @@ pub async fn collect_garbage(
         }
         let ended = Instant::now();
         let pause = async {
-            sleep_until(ended + policy.rest(ended - began)).await;
+            sleep_until(ended + policy.rest(ended - started)).await;
             tokio::select! {
-                () = sleep_until(began + policy.every) => {}
+                () = sleep_until(started + policy.every) => {}
                 () = blobs.collection_requested() => {}
             }
         };

@@ -74,8 +74,7 @@ mod tests {
     fn jobs_that_fail_together_are_not_repeated_together() {
         let policy = QueuePolicy::default();
         let delays = (0..100).map(|job| policy.backoff(JobId(Uuid::from_u128(job)), 1).as_secs_f64());
-        let (least, most) =
-            delays.fold((f64::MAX, 0.0), |(least, most), delay| (delay.min(least), delay.max(most)));
-        assert!((9.0..9.2).contains(&least) && (10.8..=11.0).contains(&most), "{least} to {most} s");
+        let (min, max) = delays.fold((f64::MAX, 0.0), |(min, max), delay| (delay.min(min), delay.max(max)));
+        assert!((9.0..9.2).contains(&min) && (10.8..=11.0).contains(&max), "{min} to {max} s");
     }
 }

@@ -25,7 +25,7 @@ pub(super) struct Ending {
 struct Publication {
     contents: Vec<Bytes>,
     /// When the latest publication began.
-    began: Instant,
+    started: Instant,
 }
 
 impl From<Outcome> for Ending {
@@ -40,15 +40,15 @@ impl Ending {
     /// # Errors
     /// As [`Blobs::put`]; the result must not be referred to.
     pub(super) async fn renew(&mut self, blobs: &Blobs, age: Duration) -> Result<(), BlobError> {
-        let Some(Publication { contents, began }) = &mut self.publication else { return Ok(()) };
-        if began.elapsed() < age {
+        let Some(Publication { contents, started }) = &mut self.publication else { return Ok(()) };
+        if started.elapsed() < age {
             return Ok(());
         }
         let now = Instant::now();
         for content in contents {
             blobs.put(content.clone()).await?;
         }
-        *began = now;
+        *started = now;
         Ok(())
     }
 }
@@ -63,7 +63,7 @@ pub(super) async fn publish(blobs: &Blobs, output: JobOutput) -> Ending {
             return Outcome::Failed(Problem::new(ProblemType::Internal, detail)).into();
         }
     };
-    let began = Instant::now();
+    let started = Instant::now();
     let (mut artifacts, mut published) = (Vec::new(), Vec::new());
     for (kind, lambda, content) in contents {
         reach(FailurePoint::BeforePublish);
@@ -76,7 +76,7 @@ pub(super) async fn publish(blobs: &Blobs, output: JobOutput) -> Ending {
     }
     Ending {
         outcome: Outcome::Succeeded { metrics: Box::new(output.metrics), artifacts },
-        publication: Some(Publication { contents: published, began }),
+        publication: Some(Publication { contents: published, started }),
     }
 }
 

@@ -171,7 +171,7 @@ fn assemble_sections(
 fn check_counts(scene: &AnchorScene) -> Result<(), EncodeError> {
     let counts = [
         ("feature channels", scene.feature_dim, MAX_FEATURE_DIM),
-        ("offsets an anchor", scene.offsets_per_anchor, MAX_OFFSETS),
+        ("offsets per anchor", scene.offsets_per_anchor, MAX_OFFSETS),
         ("anchors", scene.len(), u32::MAX as usize),
     ];
     for (what, value, limit) in counts {

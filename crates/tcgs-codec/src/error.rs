@@ -35,7 +35,7 @@ pub enum EncodeError {
         /// The format's limit.
         limit: u64,
     },
-    /// A value so many steps from zero that its integer would not be exact in an f32.
+    /// A value so far from zero that its integer would not be exact in an f32.
     #[error("{what}[{index}] = {value} is beyond 2^24 steps of {step}: use a larger step")]
     OutOfRange {
         /// Which array.

@@ -36,7 +36,7 @@ pub(super) fn explain(
     ));
     let slots = shape.anchors.saturating_mul(shape.offsets_per_anchor).max(1);
     all.push(Explanation::new(
-        "offsets an anchor",
+        "offsets per anchor",
         manifest.offsets_per_anchor.to_string(),
         format!(
             "{}; masks keep {} of {slots}, {:.2} an anchor",

@@ -16,16 +16,16 @@ const COARSE: usize = 4;
 
 /// The distribution for `symbols`; without any symbol, the constant zero.
 pub(super) fn fit(symbols: Vec<i32>) -> Distribution {
-    let (Some(least), Some(most)) = (symbols.iter().min().copied(), symbols.iter().max().copied()) else {
+    let (Some(min), Some(max)) = (symbols.iter().min().copied(), symbols.iter().max().copied()) else {
         return Distribution::Constant(0);
     };
-    if least == most {
-        return Distribution::Constant(least);
+    if min == max {
+        return Distribution::Constant(min);
     }
     let count = symbols.len();
     let sum: i64 = symbols.iter().map(|symbol| i64::from(*symbol)).sum();
     let mean16 = (16 * sum).div_euclid(count as i64) as i32;
-    let histogram = histogram(symbols, least, most);
+    let histogram = histogram(symbols, min, max);
     let median16 = 16 * median(&histogram, count);
 
     let mut search = Search { histogram: &histogram, best: (f64::INFINITY, Gaussian { mean16, scale: 0 }) };
@@ -75,15 +75,15 @@ impl Search<'_> {
 const MAX_COUNTED_RANGE: u32 = 1 << 16;
 
 /// Each symbol that occurs, ascending, with how often it does.
-fn histogram(mut symbols: Vec<i32>, least: i32, most: i32) -> Vec<(i32, f64)> {
-    let range = most.abs_diff(least);
+fn histogram(mut symbols: Vec<i32>, min: i32, max: i32) -> Vec<(i32, f64)> {
+    let range = max.abs_diff(min);
     if range >= MAX_COUNTED_RANGE {
         symbols.sort_unstable();
         return symbols.chunk_by(|a, b| a == b).map(|run| (run[0], run.len() as f64)).collect();
     }
     let mut counts = vec![0_u32; range as usize + 1];
-    symbols.iter().for_each(|symbol| counts[symbol.abs_diff(least) as usize] += 1);
-    let occurring = (least..).zip(counts).filter(|(_, count)| *count > 0);
+    symbols.iter().for_each(|symbol| counts[symbol.abs_diff(min) as usize] += 1);
+    let occurring = (min..).zip(counts).filter(|(_, count)| *count > 0);
     occurring.map(|(symbol, count)| (symbol, f64::from(count))).collect()
 }
 

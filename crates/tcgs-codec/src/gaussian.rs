@@ -74,8 +74,8 @@ impl Table {
         starts.push(1 << GAUSSIAN_PRECISION);
         let mut lookup = [0; (1 << LOOKUP_BITS) + 1];
         for (upper, entry) in lookup.iter_mut().enumerate() {
-            let least = ((upper as u32) << LOOKUP_SHIFT).min((1 << GAUSSIAN_PRECISION) - 1);
-            *entry = (starts.partition_point(|start| *start <= least) - 1) as u16;
+            let min = ((upper as u32) << LOOKUP_SHIFT).min((1 << GAUSSIAN_PRECISION) - 1);
+            *entry = (starts.partition_point(|start| *start <= min) - 1) as u16;
         }
         Self { radius: radius as i32, starts, lookup }
     }

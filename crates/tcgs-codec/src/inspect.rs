@@ -286,7 +286,7 @@ impl fmt::Display for Inspection {
             ("anchors", manifest.anchors.to_string()),
             ("gaussians", manifest.gaussians.to_string()),
             ("feature width", manifest.feature_dim.to_string()),
-            ("offsets an anchor", manifest.offsets_per_anchor.to_string()),
+            ("offsets per anchor", manifest.offsets_per_anchor.to_string()),
             ("anchors a chunk", manifest.chunk_anchors.to_string()),
             ("frame offset", format!("{} {} {} in the world", offset.x, offset.y, offset.z)),
             ("frame scale", format!("{} world units a unit", frame.scale())),

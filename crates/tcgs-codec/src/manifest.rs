@@ -198,7 +198,7 @@ impl Manifest {
             anchors: reader.count("number of anchors", 1..=u32::MAX as usize)?,
             gaussians: reader.count("number of Gaussians", 1..=usize::MAX)?,
             feature_dim: reader.count("feature width", 1..=MAX_FEATURE_DIM)?,
-            offsets_per_anchor: reader.count("offsets an anchor", 1..=MAX_OFFSETS)?,
+            offsets_per_anchor: reader.count("offsets per anchor", 1..=MAX_OFFSETS)?,
             chunk_anchors: reader.count("anchors in a chunk", 1..=MAX_CHUNK)?,
             lattice: Lattice {
                 voxel: reader.f32("voxel")?,

@@ -107,12 +107,12 @@ fn quantize_layer(layer: &DenseLayer, levels: f32) -> QuantizedLayer {
 /// The least scale at which no weight exceeds its levels; but where the row has been rounded before, the scale of then,
 /// so that a rounded network is stored as it is. Rounding up had made that larger by at most one unit.
 fn row_scale(row: &[f32], levels: f32) -> i32 {
-    let least = upper_half(largest(row) / levels);
+    let min = upper_half(largest(row) / levels);
     let exact = |scale: &i32| {
         let scale = from_upper_half(*scale);
         row.iter().all(|weight| nearest(*weight, scale, levels) as f32 * scale == *weight)
     };
-    (least..=(least + 1).min(MAX_SCALE)).find(exact).unwrap_or(least)
+    (min..=(min + 1).min(MAX_SCALE)).find(exact).unwrap_or(min)
 }
 
 fn largest(values: &[f32]) -> f32 {
@@ -177,7 +177,7 @@ struct LayerHead {
     distributions: [Distribution; 3],
 }
 
-/// Reads the networks section of a file with `features` feature channels and `offsets` offsets an anchor.
+/// Reads the networks section of a file with `features` feature channels and `offsets` offsets per anchor.
 /// Constant parameters take no bytes, so their number is checked against the caller's limit.
 pub(super) fn decode(
     section: &[u8],

@@ -18,7 +18,7 @@ const PART: &str = "positions";
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) struct Ordered {
     /// Least coordinate on each axis.
-    pub(super) least: [i32; 3],
+    pub(super) min: [i32; 3],
     /// Octree levels: coordinates relative to `least` are below 2^depth.
     pub(super) depth: u32,
     /// Morton codes of the relative coordinates, ascending.
@@ -31,13 +31,13 @@ pub(super) struct Ordered {
 pub(super) fn order(cells: &[[i32; 3]]) -> Result<Ordered, EncodeError> {
     let _stage = tracing::debug_span!("order").entered();
     let bound = |axis: usize, pick: fn(i32, i32) -> i32| cells.iter().map(|cell| cell[axis]).reduce(pick);
-    let mut least = [0; 3];
+    let mut min = [0; 3];
     let mut widest = 0;
-    for (axis, least) in least.iter_mut().enumerate() {
+    for (axis, min) in min.iter_mut().enumerate() {
         let (Some(low), Some(high)) = (bound(axis, i32::min), bound(axis, i32::max)) else {
             return Err(EncodeError::Empty);
         };
-        *least = low;
+        *min = low;
         widest = widest.max(high.abs_diff(low));
     }
     if widest >> AXIS_BITS != 0 {
@@ -47,21 +47,21 @@ pub(super) fn order(cells: &[[i32; 3]]) -> Result<Ordered, EncodeError> {
             limit: 1 << AXIS_BITS,
         });
     }
-    let code = |cell: &[i32; 3]| morton::interleave([0, 1, 2].map(|axis| cell[axis].abs_diff(least[axis])));
+    let code = |cell: &[i32; 3]| morton::interleave([0, 1, 2].map(|axis| cell[axis].abs_diff(min[axis])));
     let mut sorted: Vec<(u64, usize)> = cells.iter().map(code).zip(0..).collect();
     sorted.sort_unstable();
     if let Some(pair) = sorted.windows(2).find(|pair| pair[0].0 == pair[1].0) {
         return Err(EncodeError::DuplicateCell { cell: cells[pair[0].1] });
     }
     let (codes, order) = sorted.into_iter().unzip();
-    Ok(Ordered { least, depth: u32::BITS - widest.leading_zeros(), codes, order })
+    Ok(Ordered { min, depth: u32::BITS - widest.leading_zeros(), codes, order })
 }
 
 /// The positions section.
 pub(super) fn encode(cells: &Ordered) -> Vec<u8> {
     let _stage = tracing::debug_span!("positions").entered();
     let mut writer = Writer::new();
-    cells.least.iter().for_each(|low| writer.signed(i64::from(*low)));
+    cells.min.iter().for_each(|low| writer.signed(i64::from(*low)));
     writer.u8(cells.depth as u8);
     let mut stream = StreamEncoder::new();
     let mut contexts = PositionContexts::new();
@@ -110,8 +110,8 @@ pub(super) fn max_anchors_exclusive(length: usize) -> u64 {
 pub(super) fn decode(section: &[u8], count: usize) -> Result<Vec<[i32; 3]>> {
     let _stage = tracing::debug_span!("positions").entered();
     let mut reader = Reader::new(PART, section);
-    let mut least = [0_i64; 3];
-    for low in &mut least {
+    let mut min = [0_i64; 3];
+    for low in &mut min {
         *low = reader.signed("least cell")?;
     }
     let depth = u32::from(reader.u8("depth")?);
@@ -120,8 +120,8 @@ pub(super) fn decode(section: &[u8], count: usize) -> Result<Vec<[i32; 3]>> {
     }
     let wide = (1_i64 << depth) - 1;
     let fits = |low: &i64| i32::try_from(*low).is_ok() && i32::try_from(low.saturating_add(wide)).is_ok();
-    if !least.iter().all(fits) {
-        return Err(reader.malformed("least cell", format!("{least:?}")));
+    if !min.iter().all(fits) {
+        return Err(reader.malformed("least cell", format!("{min:?}")));
     }
     let mut stream = StreamDecoder::new(PART, reader.rest())?;
     let mut contexts = PositionContexts::new();
@@ -146,7 +146,7 @@ pub(super) fn decode(section: &[u8], count: usize) -> Result<Vec<[i32; 3]>> {
     }
     let cell = |code: &u64| {
         let relative = morton::deinterleave(*code);
-        [0, 1, 2].map(|axis| (least[axis] + i64::from(relative[axis])) as i32)
+        [0, 1, 2].map(|axis| (min[axis] + i64::from(relative[axis])) as i32)
     };
     Ok(level.codes.iter().map(cell).collect())
 }
@@ -343,9 +343,9 @@ mod tests {
     #[test]
     fn cells_beyond_i32_are_refused_on_every_axis() {
         // A node with its last child alone in every level: four ones each.
-        let with_least = |least: [i64; 3], depth: u8| {
+        let with_least = |min: [i64; 3], depth: u8| {
             let mut section = Writer::new();
-            least.iter().for_each(|low| section.signed(*low));
+            min.iter().for_each(|low| section.signed(*low));
             section.u8(depth);
             let mut stream = StreamEncoder::new();
             let (mut contexts, mut level) = (PositionContexts::new(), Level::root());
@@ -357,15 +357,15 @@ mod tests {
             section.raw(&stream.finish());
             decode(&section.into_bytes(), 1)
         };
-        let most = i64::from(i32::MAX);
+        let max = i64::from(i32::MAX);
         for depth in [0, 1, 21] {
-            let last = most - (1 << depth) + 1;
+            let last = max - (1 << depth) + 1;
             assert_eq!(with_least([last; 3], depth), Ok(vec![[i32::MAX; 3]]));
             for axis in 0..3 {
                 for wrong in [last + 1, i64::from(i32::MIN) - 1, i64::MAX] {
-                    let mut least = [0; 3];
-                    least[axis] = wrong;
-                    let error = with_least(least, depth).expect_err("must be refused");
+                    let mut min = [0; 3];
+                    min[axis] = wrong;
+                    let error = with_least(min, depth).expect_err("must be refused");
                     assert!(error.to_string().contains("least cell"), "{error}");
                 }
             }
@@ -379,9 +379,9 @@ mod tests {
         let likeliest = -libm::log2(1.0 - 32.0 / 65_536.0);
         for length in [0, 1, 100, 1 << 30] {
             // A stream may leave out up to four bytes of zeros.
-            let most = 8.0 * (length as f64 + 4.0) / likeliest;
+            let max = 8.0 * (length as f64 + 4.0) / likeliest;
             let bound = max_anchors_exclusive(length) as f64;
-            assert!((most..1.01 * most).contains(&bound), "{bound} anchors, {most} decisions");
+            assert!((max..1.01 * max).contains(&bound), "{bound} anchors, {max} decisions");
         }
     }
 

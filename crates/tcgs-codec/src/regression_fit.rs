@@ -124,7 +124,7 @@ impl Sample {
     }
 }
 
-/// The regression of one channel, where it saves more than its own numbers take in a file of so many `anchors`.
+/// The regression of one channel, where it saves more than its own numbers take in a file of `anchors` anchors.
 fn fit_channel(sample: &Sample, channel: usize, anchors: usize) -> Option<ChannelRegression> {
     let rows = sample.rows(channel);
     if rows.len() < MIN_SYMBOLS_PER_NUMBER * (channel + 3) {

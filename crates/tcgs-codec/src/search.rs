@@ -253,7 +253,7 @@ impl<'a> Search<'a> {
                 self.try_network(attribute, found, &mut tried[group])?;
             }
         }
-        let without = std::array::from_fn(|group| least(&tried[group], Scope::NoPlanes));
+        let without = std::array::from_fn(|group| fewest_bytes(&tried[group], Scope::NoPlanes));
         let mut planes = None;
         if let Some((number, section, found)) = self.best_planes(without)? {
             self.sample(number);
@@ -273,7 +273,7 @@ impl<'a> Search<'a> {
                 (Scope::All, Some((_, section))) => 2 * SECTION_BYTES + frame + section.len() as u64,
                 (Scope::All, None) => continue,
             };
-            let total = sections + tried.iter().map(|tried| least(tried, scope)).sum::<u64>();
+            let total = sections + tried.iter().map(|tried| fewest_bytes(tried, scope)).sum::<u64>();
             if total < best.0 {
                 best = (total, scope);
             }
@@ -442,7 +442,7 @@ impl Scope {
 }
 
 /// Bytes of the cheapest candidate in scope.
-fn least(tried: &[CodedCandidate], scope: Scope) -> u64 {
+fn fewest_bytes(tried: &[CodedCandidate], scope: Scope) -> u64 {
     let allowed = tried.iter().filter(|tried| scope.allows(tried.choice));
     allowed.map(|tried| tried.bytes).min().unwrap_or(u64::MAX)
 }

@@ -280,16 +280,16 @@ impl NeuralGaussians {
             largest.into_iter().all(|bytes| bytes <= limit)
         };
         // An anchor takes more than a byte in the largest buffer.
-        let (mut most, mut too_many) = (0, usize::try_from(limit).unwrap_or(usize::MAX).min(MAX_ANCHORS));
-        while too_many - most > 1 {
-            let middle = most + (too_many - most) / 2;
+        let (mut max, mut too_many) = (0, usize::try_from(limit).unwrap_or(usize::MAX).min(MAX_ANCHORS));
+        while too_many - max > 1 {
+            let middle = max + (too_many - max) / 2;
             if fits(middle) {
-                most = middle;
+                max = middle;
             } else {
                 too_many = middle;
             }
         }
-        most
+        max
     }
 
     /// Capacity of the buffers for views of `anchors` anchors: see [`Columns::capacity_for`].

@@ -428,8 +428,8 @@ impl Rasterizer {
 
     /// Workgroups of 64 for `items`; kernels loop where there are fewer invocations than items.
     fn groups(&self, items: usize) -> u32 {
-        let most = self.device.variant().choose(128, 4096);
-        u32::try_from(items.div_ceil(64)).unwrap_or(most).clamp(1, most)
+        let max = self.device.variant().choose(128, 4096);
+        u32::try_from(items.div_ceil(64)).unwrap_or(max).clamp(1, max)
     }
 
     /// Records the projection and the ordering of the visible by depth, with the slots where each begins.
@@ -525,7 +525,7 @@ fn gather_kernel(device: &Device) -> Result<Arc<Kernel>, GpuError> {
     device.kernel(kernel_source!("gather"), &[])
 }
 
-/// Sums of `gradients` (nine floats a slot) over the slots of each Gaussian, which follow one another and of which there are
+/// Sums of `gradients` (nine floats per slot) over the slots of each Gaussian, which follow one another and of which there are
 /// `tiles`: place and opacity, conic, color, as the backward pass makes them. Waits for the device.
 ///
 /// # Errors

@@ -164,15 +164,15 @@ fn measure(
     Ok(Measured { width, height, device: of_device, image, jpeg })
 }
 
-/// Views a second of `views`, which makes so many at once, over `limit` and at least three calls.
+/// Views a second of `views`, which makes `each` at once, over `limit` and at least three calls.
 fn rate(limit: Duration, each: u32, mut views: impl FnMut() -> Result<(), Problem>) -> Result<f64, Problem> {
-    let began = Instant::now();
+    let started = Instant::now();
     let mut calls = 0;
-    while calls < 3 || began.elapsed() < limit {
+    while calls < 3 || started.elapsed() < limit {
         views()?;
         calls += 1;
     }
-    Ok(f64::from(calls) * f64::from(each) / began.elapsed().as_secs_f64())
+    Ok(f64::from(calls) * f64::from(each) / started.elapsed().as_secs_f64())
 }
 
 /// Pictures a second of views that are encoded while the next ones render, over `limit` and at least three pictures.
@@ -181,28 +181,28 @@ fn encoded_rate(
     views: &mut dyn Iterator<Item = Result<Image, RenderError>>,
 ) -> Result<f64, Problem> {
     let at_once = rayon::current_num_threads();
-    let began = Instant::now();
+    let started = Instant::now();
     let pictures = rayon::in_place_scope(|scope| -> Result<u32, Problem> {
         let (sender, encoded) = mpsc::channel();
-        let (mut started, mut finished) = (0, 0);
-        while started < 3 || began.elapsed() < limit {
+        let (mut submitted, mut finished) = (0, 0);
+        while submitted < 3 || started.elapsed() < limit {
             let Some(image) = views.next().transpose()? else { break };
             let sender = sender.clone();
             scope.spawn(move |_| {
                 // The receiver is gone only after an error.
                 let _ = sender.send(encode(&image));
             });
-            started += 1;
-            if started - finished >= at_once as u32 {
+            submitted += 1;
+            if submitted - finished >= at_once as u32 {
                 encoded.recv().map_err(|error| not_encoded(&error))??;
                 finished += 1;
             }
         }
         drop(sender);
         encoded.iter().collect::<Result<(), Problem>>()?;
-        Ok(started)
+        Ok(submitted)
     })?;
-    Ok(f64::from(pictures) / began.elapsed().as_secs_f64())
+    Ok(f64::from(pictures) / started.elapsed().as_secs_f64())
 }
 
 fn encode(image: &Image) -> Result<(), Problem> {

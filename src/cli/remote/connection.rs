@@ -20,7 +20,7 @@ const KEEPALIVE: Duration = Duration::from_secs(15);
 const READ_TIMEOUT: Duration = Duration::from_secs(120);
 /// Timeout of the response to a request that makes something: a dataset is checked before, after those that came earlier.
 const CREATION_TIMEOUT: Duration = Duration::from_secs(600);
-/// Slowest connection on which a request is sent to its end, in bytes a second.
+/// Slowest connection on which a request is sent to its end, in bytes per second.
 const SLOWEST: u64 = 32 << 10;
 /// How long a request is repeated while the service still answers an earlier one for the same thing, and the longest pause meanwhile.
 const UNDER_WAY_TIMEOUT: Duration = Duration::from_secs(600);

@@ -140,8 +140,8 @@ fn part_of(output: &Path, digest: Digest) -> PathBuf {
 }
 
 /// Hashes the bytes that exist, at most `most`, and returns their number.
-fn hash_start(file: &mut File, hash: &mut Sha256, most: u64) -> io::Result<u64> {
-    if file.metadata()?.len() > most {
+fn hash_start(file: &mut File, hash: &mut Sha256, max: u64) -> io::Result<u64> {
+    if file.metadata()?.len() > max {
         file.set_len(0)?;
     }
     let (mut have, mut piece) = (0, vec![0; 1 << 16]);

@@ -38,9 +38,9 @@ pub(super) async fn scene_of(
         Ok(request.header("upload-length", archive.bytes))
     };
     // If an answer is lost, the repetition begins another upload; the service ends the first one when nothing is sent to it.
-    let begun = connection.send_with_retry(begin).await?;
+    let created = connection.send_with_retry(begin).await?;
     let upload =
-        text(&begun, LOCATION.as_str()).ok_or_else(|| unexpected("it names no place for the upload"))?;
+        text(&created, LOCATION.as_str()).ok_or_else(|| unexpected("it names no place for the upload"))?;
     send_parts(connection, archive, part_bytes, &upload).await?;
     let id = upload.rsplit('/').next().unwrap_or_default();
     let scene: Value = document(connection.post("/v1/scenes", &json!({ "upload_id": id })).await?).await?;

@@ -130,7 +130,7 @@ pub(crate) fn high_band_error(
             Ok(())
         },
     };
-    // Bands have some 200 bytes a pixel.
+    // Bands have some 200 bytes per pixel.
     for_each_view(&dataset.split(Split::Test).collect::<Vec<_>>(), InFlight::One, tasks)?;
     Ok((!errors.is_empty()).then(|| errors.iter().sum::<f64>() / errors.len() as f64))
 }
@@ -215,9 +215,9 @@ pub(crate) fn views(adapter: &AdapterChoice, memory: u64) -> Result<(Arc<dyn Ren
 pub(crate) fn render_seconds(renderer: &SceneViews, dataset: &Dataset) -> Result<Option<f64>, Problem> {
     let (mut views, mut seconds) = (0, 0.0);
     for frame in dataset.split(Split::Test) {
-        let began = Instant::now();
+        let started = Instant::now();
         renderer.view(&frame.camera)?;
-        seconds += began.elapsed().as_secs_f64();
+        seconds += started.elapsed().as_secs_f64();
         views += 1;
     }
     Ok((views > 0).then(|| seconds / f64::from(views)))
@@ -236,9 +236,9 @@ pub(crate) fn score(
     let mut seconds = 0.0;
     let tasks = ViewTasks::<_, CliError> {
         render: &mut |frame| {
-            let began = Instant::now();
+            let started = Instant::now();
             let render = renderer.view(&frame.camera)?;
-            seconds += began.elapsed().as_secs_f64();
+            seconds += started.elapsed().as_secs_f64();
             Ok(render)
         },
         process: &|frame, render| {

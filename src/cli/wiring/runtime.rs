@@ -75,7 +75,7 @@ mod tests {
     #[test]
     fn a_process_does_not_wait_for_a_blocking_task_that_does_not_end() {
         let (end, ended) = mpsc::channel::<()>();
-        let began = Instant::now();
+        let started = Instant::now();
         let outcome = run_until_stopped(async {
             let (started, running) = tokio::sync::oneshot::channel();
             tokio::task::spawn_blocking(move || {
@@ -85,7 +85,7 @@ mod tests {
             running.await.map_err(|error| unavailable(&error))
         });
         assert!(outcome.is_ok(), "{outcome:?}");
-        assert!(began.elapsed() < Duration::from_secs(30), "it waited for the task");
+        assert!(started.elapsed() < Duration::from_secs(30), "it waited for the task");
         drop(end);
     }
 }

@@ -306,7 +306,7 @@ fn out_of_scope(key: &KeyRecord, scope: Scope) -> ProblemResponse {
 
 fn too_many_requests(key: &KeyRecord, wait: Wait) -> ProblemResponse {
     let detail = format!(
-        "the key '{}' has sent more requests than its rate allows; the next one is taken in {} s",
+        "the key '{}' has sent more requests than its rate allows; retry after {} s",
         key.name,
         wait.seconds()
     );

@@ -138,8 +138,8 @@ async fn from_upload(
         let (record, file) = uploads::lock(state, found.id, StatusCode::CONFLICT).await?;
         if !record.is_complete() {
             return Err(ProblemType::UploadIncomplete.because(format!(
-                "{} of the {} bytes of upload {} have come; send the rest first",
-                record.received, record.length, record.id
+                "upload {} is incomplete: {} of {} bytes received",
+                record.id, record.received, record.length
             )));
         }
         let (received, _slot) = assemble(state, &record, file).await?;

@@ -170,8 +170,8 @@ fn depth_png(plane: &ScalarImage) -> Result<(Vec<u8>, f64), PictureError> {
     let scale = if deepest > 0.0 { f64::from(deepest) / f64::from(u16::MAX) } else { 1.0 };
     let step = |depth: f32| {
         // A covered pixel must not become an empty one.
-        let least = if depth > 0.0 { 1.0 } else { 0.0 };
-        (f64::from(depth) / scale).round().clamp(least, f64::from(u16::MAX)) as u16
+        let min = if depth > 0.0 { 1.0 } else { 0.0 };
+        (f64::from(depth) / scale).round().clamp(min, f64::from(u16::MAX)) as u16
     };
     let samples: Vec<u16> = plane.values.iter().map(|depth| step(*depth)).collect();
     Ok((deep_gray_png(&samples, plane.width, plane.height)?, scale))

@@ -163,9 +163,9 @@ impl ViewRenderer {
         let queue = entered.elapsed();
         let made = self.render_with_permit(permit, frame, move |rendered, timing| {
             on_rendered();
-            let began = Instant::now();
+            let started = Instant::now();
             let picture = Picture::encode(&rendered, kind).map_err(|error| failed(&error))?;
-            Ok((picture, Timing { queue, encode: began.elapsed(), ..timing }))
+            Ok((picture, Timing { queue, encode: started.elapsed(), ..timing }))
         });
         let (picture, timing) = made.await?;
         // Fails only if another has inserted it meanwhile.
@@ -202,20 +202,20 @@ fn render(services: &Services, runtime: &Handle, frame: &RenderFrame) -> Result<
     let RenderFrame { spec, renderer } = frame;
     let loaded = std::cell::Cell::new(Duration::ZERO);
     let load = || -> Result<Viewable, Problem> {
-        let began = Instant::now();
+        let started = Instant::now();
         let viewable =
             services.read(runtime, spec.artifact).and_then(|content| services.engine.load(&content));
-        loaded.set(loaded.get() + began.elapsed());
+        loaded.set(loaded.get() + started.elapsed());
         viewable
     };
     let plane = |kind| renderer.render_scalars(spec.artifact, &load, &spec.camera, kind);
-    let began = Instant::now();
+    let started = Instant::now();
     let rendered = match spec.kind.output {
         Output::Color => Rendered::Color(renderer.render(spec.artifact, &load, &spec.camera)?),
         Output::Depth => Rendered::Depth(plane(ScalarKind::Depth)?),
         Output::Alpha => Rendered::Alpha(plane(ScalarKind::Alpha)?),
     };
-    let render = began.elapsed().saturating_sub(loaded.get());
+    let render = started.elapsed().saturating_sub(loaded.get());
     Ok((rendered, Timing { load: loaded.get(), render, ..Timing::default() }))
 }
 

@@ -15,7 +15,7 @@ const FIGURES: f64 = 130.0;
 pub(super) fn bars(counts: &ByteCounts, anchors: u64, gaussians: u64) -> Markup {
     let mut parts: Vec<(&str, u64)> = counts.parts().into_iter().filter(|(_, bytes)| *bytes > 0).collect();
     parts.sort_by_key(|(_, bytes)| std::cmp::Reverse(*bytes));
-    let most = parts.first().map_or(1, |(_, bytes)| *bytes).max(1) as f64;
+    let max = parts.first().map_or(1, |(_, bytes)| *bytes).max(1) as f64;
     let total = counts.total.max(1) as f64;
     let height = ROW * parts.len() as f64;
     let each = |count: u64| format!("{:.2}", 8.0 * counts.total as f64 / count.max(1) as f64);
@@ -23,12 +23,12 @@ pub(super) fn bars(counts: &ByteCounts, anchors: u64, gaussians: u64) -> Markup 
         section {
             h2 { "Where the bytes went" }
             p {
-                (bytes(counts.total)) " in all: " (each(anchors)) " bits an anchor, " (each(gaussians)) " bits a Gaussian."
+                (bytes(counts.total)) " in all: " (each(anchors)) " bits per anchor, " (each(gaussians)) " bits per Gaussian."
             }
             svg.bars viewBox=(format!("0 0 {WIDTH} {height}")) role="img" aria-label="Bytes by part of the file" {
                 @for (row, (name, count)) in parts.iter().enumerate() {
                     @let top = row as f64 * ROW;
-                    @let length = (WIDTH - NAMES - FIGURES) * *count as f64 / most;
+                    @let length = (WIDTH - NAMES - FIGURES) * *count as f64 / max;
                     text.name x=(NAMES - 8.0) y=(top + ROW / 2.0) text-anchor="end" dominant-baseline="middle" { (name) }
                     rect.bar x=(NAMES) y=(top + 4.0) width=(format!("{:.1}", length.max(1.0))) height=(ROW - 8.0) rx="2" {
                         title { (name) ": " (bytes(*count)) }
@@ -53,6 +53,6 @@ mod tests {
         let text = bars(&counts, 10, 20).into_string();
         let at = |word: &str| text.find(word).unwrap_or_else(|| panic!("no {word}: {text}"));
         assert!(at(">features<") < at(">positions<") && !text.contains("planes"));
-        assert!(text.contains("3.00 kB (75.0 %)") && text.contains("3200.00 bits an anchor"), "{text}");
+        assert!(text.contains("3.00 kB (75.0 %)") && text.contains("3200.00 bits per anchor"), "{text}");
     }
 }

@@ -87,12 +87,12 @@ fn against_size(record: &JobRecord, history: &History) -> Markup {
     let estimated = |point: &SeriesPoint| point.bytes.map(|bytes| bytes as f64);
     let mut training =
         if curve.is_empty() { history.points(estimated, |point| point.psnr) } else { Vec::new() };
-    let most = training
+    let max = training
         .iter()
         .map(|(bytes, _)| *bytes)
         .chain(finished.iter().map(|(bytes, ..)| *bytes))
         .fold(0.0, f64::max);
-    let (unit, name) = if most >= 1e6 { (1e6, "MB (10⁶ bytes)") } else { (1e3, "kB (10³ bytes)") };
+    let (unit, name) = if max >= 1e6 { (1e6, "MB (10⁶ bytes)") } else { (1e3, "kB (10³ bytes)") };
     training.iter_mut().for_each(|(bytes, _)| *bytes /= unit);
     let finished_points = finished.iter().map(|(bytes, psnr, _)| (bytes / unit, *psnr)).collect();
     let labels = finished.into_iter().map(|(.., label)| label).collect();

@@ -68,7 +68,7 @@ fn origin(record: &JobRecord) -> Rows {
         row("attempts", job.attempt.to_string()),
         row("created", job.created_at.to_string()),
     ];
-    rows.extend(job.started_at.map(|at| row("last begun", at.to_string())));
+    rows.extend(job.started_at.map(|at| row("last started", at.to_string())));
     rows.extend(job.finished_at.map(|at| row("finished", at.to_string())));
     for scene in record.scenes() {
         let weight = scene.lambda.map_or_else(String::new, |lambda| format!(", λ = {lambda}"));
@@ -90,7 +90,7 @@ fn course(metrics: &JobMetrics) -> Rows {
         row("encoding", duration(seconds.encode)),
         row("decoding", duration(seconds.decode)),
         row("steps", grouped(metrics.steps)),
-        row("steps a second", figure(Some(metrics.steps_per_second), 2)),
+        row("steps per second", figure(Some(metrics.steps_per_second), 2)),
         row("anchors", grouped(metrics.anchors)),
         row("Gaussians", grouped(metrics.gaussians)),
         row("PSNR before quantization, dB", figure(metrics.psnr_before_quantisation, 2)),

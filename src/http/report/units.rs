@@ -43,7 +43,7 @@ pub(super) fn duration(seconds: f64) -> String {
     }
 }
 
-/// A figure with so many decimals, or a dash where there is none.
+/// A figure with `decimals` decimals, or a dash where there is none.
 pub(super) fn figure(value: Option<f64>, decimals: usize) -> String {
     value.map_or_else(|| "\u{2013}".to_owned(), |value| format!("{value:.decimals$}"))
 }

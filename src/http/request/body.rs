@@ -166,20 +166,20 @@ pub(crate) struct Pieces<'a> {
     idle: Duration,
     /// Least bytes per second, on average since the start.
     rate: u64,
-    begun: Instant,
+    started: Instant,
     deadline: Instant,
     received: u64,
 }
 
 impl<'a> Pieces<'a> {
     pub(crate) fn new(body: &'a mut BodyDataStream, limits: &RequestLimits) -> Self {
-        let begun = Instant::now();
-        let deadline = begun + limits.body_timeout;
+        let started = Instant::now();
+        let deadline = started + limits.body_timeout;
         Self {
             body,
             idle: limits.body_idle_timeout,
             rate: limits.min_body_rate,
-            begun,
+            started,
             deadline,
             received: 0,
         }
@@ -202,13 +202,13 @@ impl<'a> Pieces<'a> {
 
     /// Whether the body is too slow on average although no piece was late, as from a client that means to hold its place.
     fn is_too_slow(&self) -> bool {
-        let elapsed = self.begun.elapsed();
+        let elapsed = self.started.elapsed();
         elapsed > self.idle && (self.received as f64) < self.rate as f64 * elapsed.as_secs_f64()
     }
 
     fn too_slow(&self) -> ProblemResponse {
         ProblemType::BodyTimeout.because(format!(
-            "the body paused for more than {} s, brought less than {} bytes a second, or was not complete in time",
+            "the body paused for more than {} s, brought less than {} bytes per second, or was not complete in time",
             self.idle.as_secs_f64(),
             self.rate
         ))
@@ -287,7 +287,7 @@ mod tests {
         let mut body = Body::empty().into_data_stream();
         let mut is_too_slow = |lasted: u64, received: u64| {
             let mut pieces = Pieces::new(&mut body, &limits);
-            pieces.begun = Instant::now().checked_sub(Duration::from_secs(lasted)).expect("an instant");
+            pieces.started = Instant::now().checked_sub(Duration::from_secs(lasted)).expect("an instant");
             pieces.received = received;
             pieces.is_too_slow()
         };

@@ -35,7 +35,7 @@ const ANONYMOUS_LIMITS: DrainLimits = DrainLimits { bytes: 1 << 20, time: Durati
 struct Shared {
     body: BodyDataStream,
     /// Whether the handler began to read.
-    begun: bool,
+    started: bool,
 }
 
 /// Drains the body before the response is sent.
@@ -45,12 +45,12 @@ pub(crate) async fn drain_unread(request: Request, next: Next) -> Response {
     }
     let waits = request.headers().contains_key(header::EXPECT);
     let (parts, body) = request.into_parts();
-    let shared = Arc::new(Mutex::new(Shared { body: body.into_data_stream(), begun: false }));
+    let shared = Arc::new(Mutex::new(Shared { body: body.into_data_stream(), started: false }));
     let mut response = next.run(Request::from_parts(parts, lent(Arc::clone(&shared)))).await;
     // Otherwise something else still reads the body.
     let Some(Ok(rest)) = Arc::into_inner(shared).map(Mutex::into_inner) else { return response };
     // A client that waits for `100 Continue` has sent nothing and must not start; one that was too slow would be again.
-    let hopeless = (waits && !rest.begun) || response.status() == StatusCode::REQUEST_TIMEOUT;
+    let hopeless = (waits && !rest.started) || response.status() == StatusCode::REQUEST_TIMEOUT;
     let limits = if response.extensions().get::<Authenticated>().is_some() {
         AUTHENTICATED_LIMITS
     } else {
@@ -65,7 +65,7 @@ pub(crate) async fn drain_unread(request: Request, next: Next) -> Response {
 fn lent(shared: Arc<Mutex<Shared>>) -> Body {
     Body::from_stream(stream::poll_fn(move |context| {
         let mut shared = shared.lock().unwrap_or_else(PoisonError::into_inner);
-        shared.begun = true;
+        shared.started = true;
         shared.body.poll_next_unpin(context)
     }))
 }
@@ -94,7 +94,7 @@ mod tests {
 
     use super::*;
 
-    /// A body of so many whole MiB and bytes, of which one piece is in memory.
+    /// A body of whole MiB and bytes, of which one piece is in memory.
     fn body(mebibytes: usize, more: usize) -> BodyDataStream {
         let piece = Bytes::from(vec![0; 1 << 20]);
         let rest = piece.slice(..more);

@@ -40,7 +40,7 @@ pub(crate) async fn wrap(State(state): State<AppState>, request: Request, next: 
     let trace_id = trace_id(request.headers());
     let span = tracing::info_span!("request", request_id = id, trace_id, %method, route = shown);
     let request = counted(request, state.meters.body_bytes(route));
-    let began = Instant::now();
+    let started = Instant::now();
     let mut response = next.run(request).instrument(span.clone()).await;
     let status = response.status();
     if status.is_client_error() || status.is_server_error() {
@@ -56,7 +56,7 @@ pub(crate) async fn wrap(State(state): State<AppState>, request: Request, next: 
         headers.insert(REQUEST_ID, id);
     }
     drop(active);
-    let duration = began.elapsed();
+    let duration = started.elapsed();
     state.meters.request_answered(&method, route, status.as_u16(), duration);
     let duration_ms = duration.as_secs_f64() * 1e3;
     span.in_scope(|| {

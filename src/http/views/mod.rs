@@ -223,7 +223,7 @@ fn check_sides(cameras: &[Camera], max: u32) -> ApiResult<()> {
     for Camera { intrinsics, .. } in cameras {
         let (width, height) = (intrinsics.width, intrinsics.height);
         if width.max(height) > max {
-            return Err(too_large(format!("{width}x{height} is more than {max} pixels a side")));
+            return Err(too_large(format!("{width}x{height} is more than {max} pixels per side")));
         }
     }
     Ok(())

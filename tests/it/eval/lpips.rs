@@ -115,10 +115,7 @@ fn images_that_cannot_be_compared_are_refused() {
     let (small, _) = images(30, 64);
     let error = distance(&small, &small).expect_err("too small");
     assert!(
-        matches!(
-            error,
-            LpipsError::TooSmall { network: LpipsNetwork::Alex, width: 30, height: 64, least: 31 }
-        ),
+        matches!(error, LpipsError::TooSmall { network: LpipsNetwork::Alex, width: 30, height: 64, min: 31 }),
         "{error}"
     );
     let problem = Problem::from(error);
@@ -138,7 +135,7 @@ fn images_that_cannot_be_compared_are_refused() {
 fn vgg_needs_sixteen_pixels_a_side() {
     let lpips = Lpips::from_safetensors(&file(&weights("vgg"))).expect("weights");
     lpips.check_size(16, 16).expect("large enough");
-    assert!(matches!(lpips.check_size(640, 15), Err(LpipsError::TooSmall { least: 16, height: 15, .. })));
+    assert!(matches!(lpips.check_size(640, 15), Err(LpipsError::TooSmall { min: 16, height: 15, .. })));
 }
 
 /// The fault of AlexNet's weights after a change to them.

@@ -117,7 +117,7 @@ pub(super) async fn a_finished_job_is_reported_on_one_page(coverage: Coverage) {
         "PSNR against time",
         "SSIM against time",
         "Course",
-        "steps a second",
+        "steps per second",
         "λ",
         "fake",
         &*Digest::of(fakes::FILE).to_string(),

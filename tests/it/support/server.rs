@@ -257,7 +257,7 @@ impl Server {
         self.draw_key(KeyRequest { scopes, project: KeyProject::New(limits), ..KeyRequest::default() }).await
     }
 
-    /// A key with these scopes that may send so many requests a minute.
+    /// A key with these scopes that may send so many requests per minute.
     pub async fn key_at_rate(&self, scopes: &[Scope], rate: NonZeroU32) -> TestKey {
         self.draw_key(KeyRequest { scopes, requests_per_minute: Some(rate), ..KeyRequest::default() }).await
     }

@@ -239,7 +239,7 @@ fn check_inspection(file: &Path, job: &Value, length: u64) {
     let table = succeeds(line!["inspect", file]);
     assert!(table.contains(&format!("{length} bytes")), "{table}");
     for choice in
-        ["voxel", "anchors at most", "feature width", "offsets an anchor", "context of the features"]
+        ["voxel", "anchors at most", "feature width", "offsets per anchor", "context of the features"]
     {
         let because = inspection["choices"].as_array().expect("choices").iter();
         let because = because.filter(|said| said["what"] == choice).map(|said| &said["because"]);

@@ -116,7 +116,7 @@ fn claimed_cameras() -> Vec<u8> {
     zipped(&files)
 }
 
-/// A PNG whose header claims a hundred thousand pixels a side.
+/// A PNG whose header claims a hundred thousand pixels per side.
 fn endless_image() -> Vec<u8> {
     let mut image = png(8, 6);
     let side = 100_000_u32.to_be_bytes();

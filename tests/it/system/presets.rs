@@ -31,7 +31,7 @@ fn run(options: &TrainOptions) -> (JobOutput, Decoded) {
     (output, decoded)
 }
 
-/// Steps, feature width, offsets an anchor, most anchors and weight of the rate, as `docs/SCHEDULE.md` states them.
+/// Steps, feature width, offsets per anchor, most anchors and weight of the rate, as `docs/SCHEDULE.md` states them.
 const PRESETS: [(Preset, u32, usize, usize, usize, f64); 3] = [
     (Preset::Preview, 2_000, 32, 4, 40_000, 0.0005),
     (Preset::Standard, 10_000, 50, 10, 200_000, 0.0005),

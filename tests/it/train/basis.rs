@@ -24,10 +24,10 @@ fn a_short_run_keeps_its_picture_in_the_features_own_basis_and_its_file_is_small
     sample::write(&dataset, &Settings { side: 48, points: 1000, seed: 1 }).expect("writes");
     let whole = TrainOptions { iterations: Some(60), seed: 5, ..TrainOptions::default() };
     let learnt = run(&dataset, &TrainOptions { without: [Component::Basis].into(), ..whole.clone() });
-    let narrow = run(&dataset, &whole);
+    let pruned = run(&dataset, &whole);
     let psnr = |output: &JobOutput| output.metrics.train.psnr.expect("training views");
     println!("{:.2} dB, {} bytes as learnt", psnr(&learnt), learnt.file.len());
-    println!("{:.2} dB, {} bytes in its basis", psnr(&narrow), narrow.file.len());
-    assert!(psnr(&narrow) > psnr(&learnt) - 0.3);
-    assert!(10 * narrow.file.len() < 9 * learnt.file.len());
+    println!("{:.2} dB, {} bytes in its basis", psnr(&pruned), pruned.file.len());
+    assert!(psnr(&pruned) > psnr(&learnt) - 0.3);
+    assert!(10 * pruned.file.len() < 9 * learnt.file.len());
 }

@@ -443,7 +443,7 @@ mod tests {
             let floats = IntegerMlp::quantize(&mlp, bits(width)).as_floats();
             let limit = bits(width).limit() as f32;
             for (row, back) in mlp.layers[0].weights.chunks(40).zip(floats.layers[0].weights.chunks(40)) {
-                let largest = row.iter().fold(0.0_f32, |most, w| most.max(w.abs()));
+                let largest = row.iter().fold(0.0_f32, |max, w| max.max(w.abs()));
                 // Shifts are powers of two: up to a factor of two is lost, and half a unit by rounding.
                 let bound = largest / limit * 1.01;
                 assert!(row.iter().zip(back).all(|(a, b)| (a - b).abs() <= bound), "{width} bits");

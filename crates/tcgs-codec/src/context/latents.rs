@@ -75,7 +75,7 @@ fn digits(value: i32) -> usize {
 /// The probabilities, common to all images.
 struct LatentContexts {
     predicted: AdaptiveBit,
-    /// Whether a residual has more digits than so many, by the digits of its neighbors.
+    /// Whether a residual has more digits than a number, by the digits of its neighbors.
     digits: [[AdaptiveBit; DIGITS]; DIGITS + 1],
     /// Signs, by the signs of the two neighbors.
     sign: [AdaptiveBit; 9],

@@ -34,12 +34,12 @@ pub fn neighbors(cells: &[[i32; 3]]) -> Vec<[u32; NEIGHBORS]> {
     by_index
 }
 
-/// Indices of cells in ascending order of Morton codes of 32 bits an axis, counted from the least cell.
+/// Indices of cells in ascending order of Morton codes of 32 bits per axis, counted from the least cell.
 fn morton_order(cells: &[[i32; 3]]) -> Vec<u32> {
-    let least: [i32; 3] =
+    let min: [i32; 3] =
         std::array::from_fn(|axis| cells.iter().map(|cell| cell[axis]).min().unwrap_or_default());
     let key = |cell: &[i32; 3]| {
-        let relative: [u32; 3] = std::array::from_fn(|axis| cell[axis].abs_diff(least[axis]));
+        let relative: [u32; 3] = std::array::from_fn(|axis| cell[axis].abs_diff(min[axis]));
         let upper = morton::interleave(relative.map(|x| x >> morton::AXIS_BITS));
         (upper, morton::interleave(relative.map(|x| x & ((1 << morton::AXIS_BITS) - 1))))
     };

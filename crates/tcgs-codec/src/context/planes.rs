@@ -140,7 +140,7 @@ impl IntegerPlanes {
         let count = reader.count("number of layers", 0..=MAX_LAYERS)?;
         let mut heads = Vec::new();
         let (mut wide, mut deep) = (edge, channels);
-        let mut most = PLANES * channels * edge * edge;
+        let mut max = PLANES * channels * edge * edge;
         check_size(wide, deep).map_err(|(what, value)| reader.malformed(what, value))?;
         for _ in 0..count {
             let outputs = reader.count("channels of a layer", 1..=MAX_CHANNELS)?;
@@ -151,10 +151,10 @@ impl IntegerPlanes {
             ));
             (wide, deep) = (2 * wide, outputs);
             check_size(wide, deep).map_err(|(what, value)| reader.malformed(what, value))?;
-            most = most.max(PLANES * deep * wide * wide);
+            max = max.max(PLANES * deep * wide * wide);
         }
         // Input and output of a layer, and the planes joined.
-        let memory = 3 * 2 * most as u64;
+        let memory = 3 * 2 * max as u64;
         check_limit("bytes of memory for planes", memory, max_memory_bytes)?;
         let mut stream = StreamDecoder::new(PART, reader.rest())?;
         let mut layers = Vec::new();
@@ -291,7 +291,7 @@ mod tests {
         refused(|planes| planes.latents.push(0.0));
     }
 
-    /// Edge, channels and layers of so many channels, each constant.
+    /// Edge, channels and layers of `channels` channels, each constant.
     fn constant_planes(edge: u64, widths: &[u64]) -> Vec<u8> {
         let mut writer = Writer::new();
         [edge, widths[0], widths.len() as u64 - 1].iter().for_each(|count| writer.varint(*count));

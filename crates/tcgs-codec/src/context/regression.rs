@@ -111,7 +111,7 @@ impl GroupRegression {
         }
     }
 
-    /// Reads what [`Self::write`] wrote of a group of so many channels.
+    /// Reads what [`Self::write`] wrote of a group of `channels` channels.
     fn read(reader: &mut Reader<'_>, channels: usize) -> Result<Self> {
         let mut read = Vec::with_capacity(channels);
         for channel in 0..channels {
@@ -163,7 +163,7 @@ impl Regressions {
     /// Of a file without the section.
     pub(crate) const NONE: Self = Self { groups: [None, None, None], lengths: [0; 3] };
 
-    /// Reads the section of groups of so many `channels`.
+    /// Reads the section of groups of `channels` channels.
     pub(crate) fn read(section: &[u8], channels: [usize; 3]) -> Result<Self> {
         let mut reader = Reader::new("regression", section);
         let flags = reader.u8("groups")?;

@@ -65,7 +65,7 @@ impl Layout {
         Ok(Self { frame, frame_place, places, starts })
     }
 
-    /// Reads the networks, for planes of `plane_channels` channels and groups of so many `channels`.
+    /// Reads the networks, for planes of `plane_channels` channels and groups of `channels` channels.
     pub(crate) fn networks(
         &self,
         section: &[u8],

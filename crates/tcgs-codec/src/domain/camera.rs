@@ -40,7 +40,7 @@ pub enum CameraError {
     #[error("the principal point is not finite")]
     PrincipalPoint,
     /// The image has no pixels or more than the program accepts on a side.
-    #[error("the image size {width}x{height} is outside 1..={MAX_IMAGE_SIDE} pixels a side")]
+    #[error("the image size {width}x{height} is outside 1..={MAX_IMAGE_SIDE} pixels per side")]
     ImageSize {
         /// Width in pixels.
         width: u32,

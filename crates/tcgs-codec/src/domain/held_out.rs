@@ -17,7 +17,7 @@ pub struct HeldOut {
     pub views: Vec<HeldOutView>,
 }
 
-/// One view. The pictures are JPEG files in base64, of one size, at most 512 pixels a side.
+/// One view. The pictures are JPEG files in base64, of one size, at most 512 pixels per side.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct HeldOutView {
     /// Its name and figures, which were measured at full size.

@@ -10,7 +10,7 @@ use super::camera::MAX_IMAGE_SIDE;
 #[derive(Debug, Clone, PartialEq, Eq, Error)]
 pub enum ImageError {
     /// A side is zero or too long.
-    #[error("the image size {width}x{height} is outside 1..={MAX_IMAGE_SIDE} pixels a side")]
+    #[error("the image size {width}x{height} is outside 1..={MAX_IMAGE_SIDE} pixels per side")]
     Size {
         /// Width in pixels.
         width: u32,

@@ -189,7 +189,7 @@ pub struct JobMetrics {
     pub seconds: PhaseSeconds,
     /// Training steps.
     pub steps: u64,
-    /// Training steps a second, over the whole training phase.
+    /// Training steps per second, over the whole training phase.
     pub steps_per_second: f64,
     /// Anchors in the file.
     pub anchors: u64,

@@ -112,7 +112,7 @@ named_choice! {
         Wavelet = "wavelet",
         /// The offset masks.
         Masks = "masks",
-        /// The features' own basis, and the removal of channels and offset slots that no picture needs.
+        /// The decorrelating transform of features, and the removal of channels and offset slots that no picture needs.
         Basis = "basis",
         /// The regression of an anchor's attributes on each other in the file.
         Regression = "regression",
@@ -388,7 +388,7 @@ pub enum OptionKind {
     Bytes,
     /// A positive number.
     Positive,
-    /// At most so many different positive numbers, separated by commas, perhaps in brackets.
+    /// At most this number of different positive numbers, separated by commas, perhaps in brackets.
     Positives(usize),
     /// One of these names, or a positive number.
     ChoiceOrPositive(&'static [&'static str]),
@@ -399,10 +399,10 @@ impl fmt::Display for OptionKind {
         match self {
             OptionKind::Choice(names) => write!(f, "one of {}", names.join(", ")),
             OptionKind::Choices(names) => write!(f, "a list of {}", names.join(", ")),
-            OptionKind::Integer(least, most) => write!(f, "a whole number in {least}..={most}"),
+            OptionKind::Integer(min, max) => write!(f, "a whole number in {min}..={max}"),
             OptionKind::Bytes => f.write_str("a whole number of bytes"),
             OptionKind::Positive => f.write_str("a positive number"),
-            OptionKind::Positives(most) => write!(f, "a list of at most {most} positive numbers"),
+            OptionKind::Positives(max) => write!(f, "a list of at most {max} positive numbers"),
             OptionKind::ChoiceOrPositive(names) => write!(f, "{} or a positive number", names.join(", ")),
         }
     }

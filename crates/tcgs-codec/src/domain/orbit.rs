@@ -76,7 +76,7 @@ impl Orbit {
         Self { radius: distance * cos, height: distance * sin, ..self }
     }
 
-    /// The pose after so many turns, anticlockwise when seen from above.
+    /// The pose after `turns` turns, anticlockwise when seen from above.
     ///
     /// # Errors
     /// [`CameraError`] for a circle without extent.

@@ -116,16 +116,16 @@ fn of_every_kind_the_cheapest_width_is_found() {
                 ContextKind::TriPlaneKnn => costs.tri_plane_knn,
             })
         };
-        let mut least = [u64::MAX; 3];
+        let mut min = [u64::MAX; 3];
         for weight_bits in [8, 6, 4] {
             let groups = [GroupChoice::Network { kind, weight_bits }; 3];
             let (other, costs) = costs(ContextSearch::Fixed(ContextChoice { planes: Some(0), groups }));
             assert!(length <= other, "{length} bytes, {other} with {kind:?} of {weight_bits} bits");
-            for (least, cost) in least.iter_mut().zip(of_kind(costs)) {
-                *least = (*least).min(cost.expect("was coded"));
+            for (min, cost) in min.iter_mut().zip(of_kind(costs)) {
+                *min = (*min).min(cost.expect("was coded"));
             }
         }
-        assert_eq!(of_kind(cheapest), least.map(Some), "{kind:?}");
+        assert_eq!(of_kind(cheapest), min.map(Some), "{kind:?}");
     }
 }
 

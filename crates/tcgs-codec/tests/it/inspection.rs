@@ -32,7 +32,7 @@ fn the_text_has_counts_choices_shares_and_places() {
         "gaussians          1025",
         "scaling step       0.0005 (0.050000004 voxel)",
         "adapter            an adapter",
-        "offsets an anchor        4                                        \
+        "offsets per anchor       4                                        \
          as published; masks keep 1025 of 1596, 2.57 an anchor",
         "container            384   6.08%         0.962",
         "scalings            1872  29.65%         4.692",
@@ -65,7 +65,7 @@ fn choices_are_explained_from_the_provenance() {
         ("voxel", "0.01", "the published rule, over 5000 points"),
         ("anchors at most", "40000", "the preset's number fits"),
         ("feature width", "1", "of 32 learnt"),
-        ("offsets an anchor", "1", "the slots of 10 that an anchor uses; masks keep 3 of 3, 1.00 an anchor"),
+        ("offsets per anchor", "1", "the slots of 10 that an anchor uses; masks keep 3 of 3, 1.00 an anchor"),
     ] {
         let choice = explained.iter().find(|choice| choice.what == what).expect("is explained");
         assert_eq!(choice.value, value, "{choice:?}");

@@ -216,7 +216,7 @@ fn what_cannot_be_written_is_refused_with_the_reason() {
     );
     let (what, value, limit) = ("feature channels", 257, 256);
     assert_eq!(refusal(|scene| scene.feature_dim = 257), EncodeError::TooLarge { what, value, limit });
-    let (what, value, limit) = ("offsets an anchor", 65, 64);
+    let (what, value, limit) = ("offsets per anchor", 65, 64);
     assert_eq!(refusal(|scene| scene.offsets_per_anchor = 65), EncodeError::TooLarge { what, value, limit });
     // As many as the format has, but not as many as the scene has numbers for.
     assert!(matches!(refusal(|scene| scene.feature_dim = 256), EncodeError::Shape(_)));
@@ -291,8 +291,8 @@ fn the_memory_limit_covers_every_array_of_an_anchor() {
         // A symbol and a float a value, a byte a mask, three coordinates.
         let arrays = 50 * (8 * (feature_dim + 6 + 3 * offsets) + offsets + 12) as u64;
         // Step indices, and a code, six neighbors and a family in two levels of the octree, whatever the widths are.
-        let least = arrays + 50 * (3 + 2 * (8 + 6 * 4 + 1));
-        assert!((least..=arrays + 50 * 100).contains(&value), "{value} bytes for arrays of {arrays}");
+        let min = arrays + 50 * (3 + 2 * (8 + 6 * 4 + 1));
+        assert!((min..=arrays + 50 * 100).contains(&value), "{value} bytes for arrays of {arrays}");
     }
 }
 

@@ -20,7 +20,7 @@ pub fn error_ramp() -> Vec<[u8; 3]> {
     (0..RAMP_COLORS).map(|place| color(place as f64 / (RAMP_COLORS - 1) as f64)).collect()
 }
 
-/// The error of each pixel by color, root mean square over the channels, at most `side` pixels a side; `None` if the
+/// The error of each pixel by color, root mean square over the channels, at most `side` pixels per side; `None` if the
 /// images are not of one shape.
 #[must_use]
 pub fn error_map(render: &Image, photograph: &Image, side: u32) -> Option<Image> {
@@ -40,7 +40,7 @@ pub fn error_map(render: &Image, photograph: &Image, side: u32) -> Option<Image>
     Image::new(width, height, 3, samples).ok()
 }
 
-/// An RGB image at most `side` pixels a side; `None` if there is alpha.
+/// An RGB image at most `side` pixels per side; `None` if there is alpha.
 #[must_use]
 pub fn shrunk(image: &Image, side: u32) -> Option<Image> {
     comparable(image, image)?;

@@ -38,7 +38,7 @@ impl Estimate {
         self.half_width.map(|half| self.mean.abs() > half)
     }
 
-    /// The figure with so many decimals, as `29.62 ± 0.31`; a single run has no `±`.
+    /// The figure with `decimals` decimals, as `29.62 ± 0.31`; a single run has no `±`.
     #[must_use]
     pub fn text(&self, decimals: usize) -> String {
         let mean = self.mean;

@@ -31,7 +31,7 @@ impl<E: From<RenderError> + Send> ViewMeasurement<'_, E> {
         frames: &[&Frame],
         lpips: Option<&dyn PerceptualDistance>,
     ) -> Result<Vec<ViewScore>, E> {
-        // LPIPS has some 300 bytes a pixel.
+        // LPIPS has some 300 bytes per pixel.
         let in_flight = if lpips.is_some() { InFlight::One } else { InFlight::Several };
         self.compare(frames, in_flight, &|frame, render, photograph| {
             let mut score = score_view(&frame.name, render, photograph)?;

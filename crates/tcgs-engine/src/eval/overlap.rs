@@ -152,14 +152,14 @@ mod tests {
 
     /// The names in the order of their results, and the most views that were in flight.
     fn run(side: u32, in_flight: InFlight, fails: Option<usize>) -> (Result<(), usize>, Vec<usize>, usize) {
-        let (frames, now, most) = (frames(30, side), AtomicUsize::new(0), Mutex::new(0));
+        let (frames, now, max) = (frames(30, side), AtomicUsize::new(0), Mutex::new(0));
         let frames: Vec<&Frame> = frames.iter().collect();
         let mut collected = Vec::new();
         let tasks = ViewTasks {
             render: &mut |_| {
                 let views = now.fetch_add(1, Ordering::SeqCst) + 1;
-                let mut most = most.lock().expect("not poisoned");
-                *most = views.max(*most);
+                let mut max = max.lock().expect("not poisoned");
+                *max = views.max(*max);
                 Ok(image(side))
             },
             process: &|frame, _| match number(frame) {
@@ -173,8 +173,8 @@ mod tests {
             },
         };
         let result = for_each_view(&frames, in_flight, tasks);
-        let most = *most.lock().expect("not poisoned");
-        (result, collected, most)
+        let max = *max.lock().expect("not poisoned");
+        (result, collected, max)
     }
 
     #[test]
@@ -182,9 +182,9 @@ mod tests {
         for (side, in_flight, bound) in
             [(2, InFlight::Several, MAX_VIEWS as usize), (2, InFlight::One, 1), (1024, InFlight::Several, 4)]
         {
-            let (result, collected, most) = run(side, in_flight, None);
+            let (result, collected, max) = run(side, in_flight, None);
             assert_eq!((result, collected), (Ok(()), (0..30).collect()));
-            assert!(most <= bound + 1, "{most} views of {side} pixels a side");
+            assert!(max <= bound + 1, "{max} views of {side} pixels per side");
         }
     }
 

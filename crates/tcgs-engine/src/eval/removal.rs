@@ -16,7 +16,7 @@ use crate::{
     render::{DeviceAnchors, NeuralGaussians, RasterSettings, Rasterizer, RenderError},
 };
 
-/// Probes with random signs that all views are given together, at least: with so many, what they add up to is right within a
+/// Probes with random signs that all views are given together, at least: with these, what they add up to is right within a
 /// fifth or so for each Gaussian, which is enough to put Gaussians into an order.
 const PROBES: usize = 64;
 

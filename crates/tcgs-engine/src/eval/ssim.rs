@@ -34,7 +34,7 @@ type Samples = [f64; TILE + 2 * REACH];
 type Row = [Lanes; TILE_LANES];
 
 /// Mean SSIM over pixels and channels: Gaussian window of 11 taps and sigma 1.5 with zero padding (METHOD.md §1.2);
-/// `None` if the sizes differ or there is alpha. Allocates eight bytes a pixel.
+/// `None` if the sizes differ or there is alpha. Allocates eight bytes per pixel.
 #[must_use]
 pub fn ssim(a: &Image, b: &Image) -> Option<f64> {
     comparable(a, b)?;

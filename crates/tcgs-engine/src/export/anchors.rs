@@ -1,7 +1,7 @@
 //! Anchors as a safetensors file, which every tensor library reads, and back without a loss: what `tcgs decode` writes,
 //! and what the `scaffold` baseline is published as.
 //!
-//! Tensors, with N anchors, F features and K offsets an anchor: `cells` i32 `[N, 3]`, `features` f32 `[N, F]`,
+//! Tensors, with N anchors, F features and K offsets per anchor: `cells` i32 `[N, 3]`, `features` f32 `[N, F]`,
 //! `scalings` f32 `[N, 6]` (linear), `offsets` f32 `[N, K, 3]`, `lattice.voxel` f32 `[1]`, `lattice.origin` f32 `[3]`,
 //! and for each network `opacity`, `covariance`, `color` and layer i: `NETWORK.i.weight` f32 `[outputs, inputs]`,
 //! `NETWORK.i.bias` f32 `[outputs]`. Where some offsets are off there is also `masks` bool `[N, K]`. An anchor's position

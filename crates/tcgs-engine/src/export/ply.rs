@@ -1,4 +1,4 @@
-//! Plain Gaussians as `.ply`: binary little endian, 62 floats a Gaussian, before activation.
+//! Plain Gaussians as `.ply`: binary little endian, 62 floats per Gaussian, before activation.
 //!
 //! Columns: `x y z nx ny nz f_dc_0..2 f_rest_0..44 opacity scale_0..2 rot_0..3`. Normals are zero. The coefficients above the constant one
 //! are channel by channel: fifteen of red, fifteen of green, fifteen of blue. The rotation is w, x, y, z.
@@ -81,7 +81,7 @@ pub fn to_ply(scene: &GaussianScene) -> Vec<u8> {
     bytes
 }
 
-/// The names of the columns of `rest` coefficients a channel, as this program writes them.
+/// The names of the columns of `rest` coefficients per channel, as this program writes them.
 fn names(rest: usize) -> Vec<String> {
     let numbered = |stem: &str, count: usize| -> Vec<String> {
         (0..count).map(|index| format!("{stem}_{index}")).collect()

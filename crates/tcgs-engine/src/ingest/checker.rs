@@ -73,13 +73,13 @@ mod tests {
         assert!(checks.acquire().is_ok());
 
         let checks = DatasetChecker::new(2, MINUTE);
-        let (now, most) = (AtomicUsize::new(0), AtomicUsize::new(0));
+        let (now, max) = (AtomicUsize::new(0), AtomicUsize::new(0));
         std::thread::scope(|scope| {
             for _ in 0..8 {
                 scope.spawn(|| {
                     for _ in 0..20 {
                         let slot = checks.acquire().expect("every waiter gets one");
-                        most.fetch_max(1 + now.fetch_add(1, Ordering::SeqCst), Ordering::SeqCst);
+                        max.fetch_max(1 + now.fetch_add(1, Ordering::SeqCst), Ordering::SeqCst);
                         std::thread::yield_now();
                         now.fetch_sub(1, Ordering::SeqCst);
                         drop(slot);
@@ -87,7 +87,7 @@ mod tests {
                 });
             }
         });
-        assert!(most.into_inner() <= 2);
+        assert!(max.into_inner() <= 2);
         let none = DatasetChecker::new(0, Duration::ZERO).check(Path::new("anything")).expect_err("no slot");
         assert_eq!((none.status, none.kind.as_str()), (503, "urn:tcgs:problem:busy"), "{none}");
     }

@@ -198,9 +198,9 @@ impl<F: Read + Seek> Read for CheckedArchive<F> {
     fn read(&mut self, into: &mut [u8]) -> io::Result<usize> {
         self.deadline.check().map_err(io::Error::other)?;
         let count = if self.at < self.own {
-            let most = usize::try_from(self.own - self.at).unwrap_or(usize::MAX).min(into.len());
+            let max = usize::try_from(self.own - self.at).unwrap_or(usize::MAX).min(into.len());
             self.file.seek(SeekFrom::Start(self.at))?;
-            self.file.read(&mut into[..most])?
+            self.file.read(&mut into[..max])?
         } else {
             let from = usize::try_from(self.at - self.own).unwrap_or(usize::MAX).min(self.records.len());
             (&self.records[from..]).read(into)?

@@ -44,15 +44,15 @@ impl<'a> TableReader<'a> {
 
     /// Text up to a zero byte, which is consumed.
     pub(super) fn zero_terminated(&mut self, what: &'static str) -> Result<Vec<u8>> {
-        let most = self.left().min(MAX_TEXT_BYTES + 1);
+        let max = self.left().min(MAX_TEXT_BYTES + 1);
         let mut text = Vec::new();
-        let read = (&mut *self.reader).take(most as u64).read_until(0, &mut text);
+        let read = (&mut *self.reader).take(max as u64).read_until(0, &mut text);
         if read.is_err() || text.pop_if(|last| *last == 0).is_none() {
-            return Err(if most > MAX_TEXT_BYTES {
+            return Err(if max > MAX_TEXT_BYTES {
                 let message = format!("{what} is longer than {MAX_TEXT_BYTES} bytes");
                 IngestErrorKind::Record { place: format!("byte {}", self.at), message }
             } else {
-                self.truncated(what, most + 1)
+                self.truncated(what, max + 1)
             });
         }
         self.at += text.len() + 1;

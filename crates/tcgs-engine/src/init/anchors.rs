@@ -141,8 +141,8 @@ mod tests {
         assert_ne!(points(1), points(2));
         for (axis, (low, high)) in [(-1.0, 1.0), (0.0, 3.0), (5.0, 6.0)].into_iter().enumerate() {
             let along = || points(1).into_iter().map(move |point| point[axis]);
-            let (least, most) = (along().fold(f32::MAX, f32::min), along().fold(f32::MIN, f32::max));
-            assert!(least >= low && most < high && most - least > 0.9 * (high - low));
+            let (min, max) = (along().fold(f32::MAX, f32::min), along().fold(f32::MIN, f32::max));
+            assert!(min >= low && max < high && max - min > 0.9 * (high - low));
         }
         let mut rng = rand_pcg::Pcg64::seed_from_u64(1);
         assert!(random_points(&mut rng, 9, [1e8; 3], [1e8; 3]).iter().all(|point| *point == [1e8; 3]));

@@ -10,7 +10,7 @@ use rand::{Rng, RngExt};
 
 use super::{
     FirstAnchors, InitError, MAX_CELL, PassingUnits, VoxelRule, cell_of, cell_within, choose_lattice, coarse,
-    first_anchors::{SLOT, SlotValues},
+    first_anchors::{SLOT, SlotTargets},
 };
 use crate::domain::Lattice;
 use crate::model::all_offsets;
@@ -19,7 +19,7 @@ use crate::model::{
     gaussian_rows::{COLOR, LOG_SCALE, OPACITY, QUAT, SH_CONSTANT},
 };
 
-/// What the opacity network says of an offset without a Gaussian, before its tanh.
+/// Target of the opacity network for an offset without a Gaussian, before its tanh.
 const TRANSPARENT: f64 = -0.3;
 /// Opacity below which a Gaussian is left out, unless all are below it.
 const VISIBLE: f32 = 0.05;
@@ -71,7 +71,7 @@ impl Member {
     }
 }
 
-/// The same Gaussian with its axes named and turned so that the quaternion's w is largest: of the 24 ways to say the same, the one
+/// The same Gaussian with its axes named and turned so that the quaternion's w is largest: of the 24 representations, the one
 /// in which neighbors are most alike.
 fn nearest_to_the_axes(quat: Quat, log_scale: [f32; 3]) -> (Quat, [f32; 3]) {
     const ORDERS: [([usize; 3], f32); 6] = [
@@ -88,8 +88,8 @@ fn nearest_to_the_axes(quat: Quat, log_scale: [f32; 3]) -> (Quat, [f32; 3]) {
         let along: [f32; 3] = std::array::from_fn(|axis| axes.col(order[axis])[axis]);
         let mut signs = along.map(|v| if v < 0.0 { -1.0_f32 } else { 1.0 });
         if signs.iter().product::<f32>() * parity < 0.0 {
-            let least = (0..3).min_by(|a, b| along[*a].abs().total_cmp(&along[*b].abs())).unwrap_or(0);
-            signs[least] = -signs[least];
+            let flattest = (0..3).min_by(|a, b| along[*a].abs().total_cmp(&along[*b].abs())).unwrap_or(0);
+            signs[flattest] = -signs[flattest];
         }
         let trace: f32 = along.iter().zip(signs).map(|(v, sign)| v * sign).sum();
         if trace > best.0 {
@@ -103,7 +103,7 @@ fn nearest_to_the_axes(quat: Quat, log_scale: [f32; 3]) -> (Quat, [f32; 3]) {
 }
 
 /// Anchors and networks that make about the visible Gaussians of `rows`, at most `max_anchors`, on a lattice by `rule` for their
-/// means; what no Gaussian says is drawn from `rng`. Gaussians within `cell` lattice cells become one anchor; a crowded cell is halved.
+/// means; values that no Gaussian determines are drawn from `rng`. Gaussians within `cell` lattice cells become one anchor; a crowded cell is halved.
 ///
 /// # Errors
 /// [`InitError`] for no Gaussians, or none whose values are all finite.
@@ -138,14 +138,14 @@ pub fn anchors_from_gaussians(
         values: vec![0.0; groups.len() * shape.row()],
         masks: vec![all_offsets(shape); groups.len()],
     };
-    let mut slots = SlotValues::with_capacity(groups.len() * shape.offsets);
+    let mut slots = SlotTargets::with_capacity(groups.len() * shape.offsets);
     for (index, group) in groups.iter().enumerate() {
         let position = Vec3::from_array(lattice.position(anchors.cells[index]));
         let row = &mut anchors.values[index * shape.row()..][..shape.row()];
         write_geometry(row, shape, &lattice, position, group, rng);
-        say(row, shape, group, &mut slots);
+        push_targets(row, shape, group, &mut slots);
     }
-    Ok(FirstAnchors::saying(anchors, slots, units, [RANDOM; 3], rng))
+    Ok(FirstAnchors::from_slot_targets(anchors, slots, units, [RANDOM; 3], rng))
 }
 
 /// The Gaussians of one anchor, the weightiest first, and the edge of their cell in lattice cells.
@@ -154,27 +154,33 @@ struct Group {
     cell: i32,
 }
 
-/// Gaussians by cells of an edge of `cell`, at most `most` in each and at most `max_groups` cells, but at least one. Where the limit does not allow to
+/// Gaussians by cells of an edge of `cell`, at most `max_members` in each and at most `max_groups` cells, but at least one. Where the limit does not allow to
 /// divide crowded cells, only their weightiest are kept.
-fn groups(lattice: &Lattice, members: &[Member], cell: i32, most: usize, max_groups: usize) -> Vec<Group> {
+fn groups(
+    lattice: &Lattice,
+    members: &[Member],
+    cell: i32,
+    max_members: usize,
+    max_groups: usize,
+) -> Vec<Group> {
     let mut found = Vec::new();
-    split(lattice, members.to_vec(), most, cell, 1, &mut found);
+    split(lattice, members.to_vec(), max_members, cell, 1, &mut found);
     let mut cell = cell;
     while found.len() > max_groups.max(1) && cell < MAX_CELL {
         found.clear();
-        split(lattice, members.to_vec(), most, cell, cell, &mut found);
+        split(lattice, members.to_vec(), max_members, cell, cell, &mut found);
         cell *= 2;
     }
     found
 }
 
-/// Divides crowded cells of an edge of `cell` down to one of `least`.
+/// Divides crowded cells of an edge of `cell` down to one of `min_cell`.
 fn split(
     lattice: &Lattice,
     members: Vec<Member>,
-    most: usize,
+    max_members: usize,
     cell: i32,
-    least: i32,
+    min_cell: i32,
     found: &mut Vec<Group>,
 ) {
     let mut cells: BTreeMap<[i32; 3], Vec<Member>> = BTreeMap::new();
@@ -182,11 +188,11 @@ fn split(
         cells.entry(coarse(cell_of(lattice, member.mean.to_array()), cell)).or_default().push(member);
     }
     for (_, mut members) in cells {
-        if members.len() > most && cell > least {
-            split(lattice, members, most, cell / 2, least, found);
+        if members.len() > max_members && cell > min_cell {
+            split(lattice, members, max_members, cell / 2, min_cell, found);
         } else {
             members.sort_by(|a, b| b.weight().total_cmp(&a.weight()));
-            members.truncate(most);
+            members.truncate(max_members);
             found.push(Group { members, cell });
         }
     }
@@ -226,8 +232,8 @@ fn write_geometry(
     }
 }
 
-/// Appends what the networks are to say of an anchor's slots.
-fn say(row: &[f32], shape: ModelShape, group: &Group, to: &mut SlotValues) {
+/// Appends the targets of an anchor's slots.
+fn push_targets(row: &[f32], shape: ModelShape, group: &Group, to: &mut SlotTargets) {
     let slots: Vec<[f64; SLOT]> = group
         .members
         .iter()
@@ -386,7 +392,7 @@ mod tests {
         for index in 0..50 {
             crowd.base_mut(index)[..3].copy_from_slice(&[1e-3 * index as f32, 0.0, 0.0]);
         }
-        assert!(begin(&crowd, 1000).anchors.len() >= 13, "four offsets an anchor");
+        assert!(begin(&crowd, 1000).anchors.len() >= 13, "four offsets per anchor");
     }
 
     #[test]

@@ -9,7 +9,7 @@ use rand::{Rng, RngExt};
 
 use super::{
     FirstAnchors, InitError, PassingUnits, VoxelRule, cell_within,
-    first_anchors::{SLOT, SlotValues},
+    first_anchors::{SLOT, SlotTargets},
     initial_rows,
 };
 use crate::model::{AnchorRows, ModelShape};
@@ -20,13 +20,13 @@ const OPACITY: f64 = 0.1;
 const SPREAD: f32 = 0.5;
 /// Color channels that a point's is held to: beyond, the logistic hardly has a gradient.
 const COLORS: [f64; 2] = [0.05, 0.95];
-/// Of an anchor whose points say none.
+/// Of an anchor whose points have none.
 const GRAY: f64 = 0.5;
 /// Weights of random hidden units to the outputs of the opacity, covariance and color networks, by the usual: slots differ in
 /// shape and color from the first step on, but none becomes transparent by chance.
 const RANDOM: [f32; 3] = [0.1, 1.0, 1.0];
 
-/// Anchors at `points` as [`initial_rows`] has them, with offsets from `rng`, and features and networks that say the points'
+/// Anchors at `points` as [`initial_rows`] has them, with offsets from `rng`, and features and networks that predict the points'
 /// `colors` (none, or one a point).
 ///
 /// # Errors
@@ -45,7 +45,7 @@ pub fn anchors_from_points(
             *offset = rng.random_range(-SPREAD..SPREAD);
         }
     }
-    let mut slots = SlotValues::with_capacity(anchors.len() * shape.offsets);
+    let mut slots = SlotTargets::with_capacity(anchors.len() * shape.offsets);
     for color in mean_colors(&anchors, points, colors) {
         // Sizes are the logistic of zero, half the distance to the nearest anchors, and no slot is turned.
         let mut slot = [0.0; SLOT];
@@ -59,11 +59,11 @@ pub fn anchors_from_points(
             slots.push(&slot, |_| true);
         }
     }
-    Ok(FirstAnchors::saying(anchors, slots, PassingUnits::LINEAR, RANDOM, rng))
+    Ok(FirstAnchors::from_slot_targets(anchors, slots, PassingUnits::LINEAR, RANDOM, rng))
 }
 
-/// The mean color of each anchor's points, from 0 to 1. Points that all have the same color, as in a cloud saved without any, say
-/// none.
+/// The mean color of each anchor's points, from 0 to 1. Points that all have the same color, as in a cloud saved without any,
+/// have none.
 fn mean_colors(anchors: &AnchorRows, points: &[[f32; 3]], colors: &[[u8; 3]]) -> Vec<[f64; 3]> {
     let colors = if colors.windows(2).all(|pair| pair[0] == pair[1]) { &[] } else { colors };
     let mut sums: BTreeMap<[i32; 3], ([f64; 3], f64)> = BTreeMap::new();

@@ -67,8 +67,8 @@ mod tests {
 
     use super::*;
 
-    fn begin(points: &[[f32; 3]], colors: &[[u8; 3]], most: usize) -> Result<GaussianRows, InitError> {
-        initial_gaussians(points, colors, most, &mut Pcg64::seed_from_u64(1))
+    fn begin(points: &[[f32; 3]], colors: &[[u8; 3]], max: usize) -> Result<GaussianRows, InitError> {
+        initial_gaussians(points, colors, max, &mut Pcg64::seed_from_u64(1))
     }
 
     fn grid() -> Vec<[f32; 3]> {

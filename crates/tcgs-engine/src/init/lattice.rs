@@ -6,7 +6,7 @@ use kiddo::{ImmutableKdTree, SquaredEuclidean};
 
 use crate::domain::Lattice;
 
-/// Largest distance of a cell from the origin, in cells: the file format's position coder takes 21 bits an axis.
+/// Largest distance of a cell from the origin, in cells: the file format's position coder takes 21 bits per axis.
 pub const MAX_CELL: i32 = (1 << 20) - 1;
 
 /// How the edge of a cell is chosen.

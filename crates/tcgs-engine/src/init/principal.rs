@@ -4,7 +4,7 @@
 
 use super::symmetric_eigen::symmetric_eigen;
 
-/// Rounds in which missing values are replaced by what the components say.
+/// Rounds in which missing values are replaced by the components' values.
 const ROUNDS: usize = 3;
 
 /// Rows as a mean and a few coordinates along orthonormal directions.

@@ -51,7 +51,7 @@ pub(super) fn write_file(
     trained: &Trained,
     heartbeat: &mut dyn FnMut(),
 ) -> Result<EncodedFile, JobError> {
-    let began = Instant::now();
+    let started = Instant::now();
     let (background, dataset) = (options.background, Some(inputs.dataset.digest));
     let context = trained.context.as_ref();
     let (bytes, budget, choice) = match (&trained.scene, options.model) {
@@ -69,10 +69,10 @@ pub(super) fn write_file(
             (scene_file::write_gaussians(&scene, background, dataset), None, None)
         }
     };
-    let encode_seconds = began.elapsed().as_secs_f64();
-    let began = Instant::now();
+    let encode_seconds = started.elapsed().as_secs_f64();
+    let started = Instant::now();
     let file = scene_file::read(&bytes).map_err(|problem| JobError::internal(problem.detail))?;
-    let decode_seconds = began.elapsed().as_secs_f64();
+    let decode_seconds = started.elapsed().as_secs_f64();
     let coding = match choice {
         Some(choice) => {
             // The float networks predict for the quantization steps of training.

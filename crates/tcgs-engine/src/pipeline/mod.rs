@@ -153,12 +153,12 @@ impl RunJob for Pipeline {
         report: &mut dyn FnMut(Phase, &Progress),
         cancel: &CancelFlag,
     ) -> Result<JobOutput, JobError> {
-        let began = Instant::now();
+        let started = Instant::now();
         let total = u64::from(Schedule::new(options).steps);
         let latest = RefCell::new(Progress::default());
         let mut report = |phase: Phase, progress: &Progress| {
             latest.replace(progress.clone());
-            let elapsed_seconds = began.elapsed().as_secs_f64();
+            let elapsed_seconds = started.elapsed().as_secs_f64();
             report(phase, &Progress { elapsed_seconds, ..progress.clone() });
         };
         let start = Progress { total, ..Progress::default() };
@@ -174,7 +174,7 @@ impl RunJob for Pipeline {
         for note in &dataset.notes {
             tracing::info!("dataset: {note}");
         }
-        let ingest_seconds = began.elapsed().as_secs_f64();
+        let ingest_seconds = started.elapsed().as_secs_f64();
         let lpips = self.lpips.as_deref();
         let Self { reference, checkpoint_every, .. } = *self;
         let inputs = RunInputs {

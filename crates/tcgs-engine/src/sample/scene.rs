@@ -109,7 +109,7 @@ impl Scene {
         Self { solids, fence, fence_from, sun: DVec3::new(0.45, -0.75, 1.0).normalize() }
     }
 
-    /// The image of the scene from `camera`, four samples a pixel.
+    /// The image of the scene from `camera`, four samples per pixel.
     pub(super) fn render(&self, camera: &Camera) -> Image {
         let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
         let rows: Vec<Vec<u8>> = (0..height)

@@ -169,16 +169,16 @@ impl<'a> Needs<'a> {
     fn largest_within(&self, budget: &MemoryBudget) -> Result<usize, OverBudget> {
         let max_size = self.footprint.max_size(self.adapter);
         // Growth takes the other half.
-        let least = self.points.min(max_size / 2).max(1);
+        let min = self.points.min(max_size / 2).max(1);
         let wanted = self.estimate(max_size);
         if wanted.fits(budget) {
             return Ok(max_size);
         }
-        let needed = self.estimate(least);
+        let needed = self.estimate(min);
         if !needed.fits(budget) {
             return Err(OverBudget { needed: Box::new(needed), budget: *budget });
         }
-        let (mut fits, mut too_many) = (least, max_size);
+        let (mut fits, mut too_many) = (min, max_size);
         while too_many - fits > 1 {
             let middle = fits + (too_many - fits) / 2;
             if self.estimate(middle).fits(budget) {

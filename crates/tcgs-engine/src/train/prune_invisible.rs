@@ -10,7 +10,7 @@ use crate::{
 /// Anchors whose opacities are evaluated in one submission: some milliseconds of a fast GPU.
 const ANCHORS_A_SUBMISSION: usize = 1 << 18;
 
-/// Views of so many anchors that one submission evaluates.
+/// Views times anchors that one submission evaluates.
 fn views_a_submission(anchors: usize) -> usize {
     (ANCHORS_A_SUBMISSION / anchors.max(1)).clamp(1, 32)
 }

@@ -257,12 +257,12 @@ mod tests {
                     let mut file = SimulatedFile::new(slope, delay);
                     let mut control = RateControl::new(1e-3, budget as u64, WINDOW);
                     let seen = simulate(&mut control, &mut file, 1..=3000, 10);
-                    let (last, least) =
+                    let (last, min) =
                         (file.bytes() / budget, seen.iter().copied().fold(f64::INFINITY, f64::min));
                     let place = format!("slope {slope}, delay {delay}, {budget} bytes");
                     let reached = (budget / file.free).powf(-slope.recip()) < MAX_RATIO;
                     assert!((0.95..if reached { 1.04 } else { 1.1 }).contains(&last), "{place}: {last}");
-                    assert!(least > 0.75 * budget, "{place}: falls to {least}");
+                    assert!(min > 0.75 * budget, "{place}: falls to {min}");
                 }
             }
         }

@@ -79,9 +79,9 @@ pub fn context_trials(
             ContextKind::TriPlaneKnn => format!("planes of {edge}, neighbors"),
         };
         begin(&context);
-        let began = Instant::now();
+        let started = Instant::now();
         let fitted = fit_contexts(device, scene, trial.steps, &[config(kind, edge)], settings, cancel)?;
-        let fit_seconds = began.elapsed().as_secs_f64();
+        let fit_seconds = started.elapsed().as_secs_f64();
         for candidates in fitted {
             let bytes = smallest(trial, &candidates, kind)?;
             trials.push(ContextTrial { context: context.clone(), bytes, fit_seconds });

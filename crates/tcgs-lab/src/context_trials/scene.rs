@@ -31,7 +31,7 @@ impl TrialScene {
         Ok(Self { scene, steps })
     }
 
-    /// At most so many anchors from the middle of the order, which are a compact part where the order is that of a file.
+    /// At most `anchors` anchors from the middle of the order, which are a compact part where the order is that of a file.
     #[must_use]
     pub fn crop(&self, anchors: usize) -> Self {
         let scene = &self.scene;
@@ -60,23 +60,23 @@ impl TrialScene {
     /// this scene's.
     ///
     /// # Errors
-    /// `undecodable` if the scenes differ in the width of features or in the offsets an anchor, or do not fit a lattice together.
+    /// `undecodable` if the scenes differ in the width of features or in the offsets per anchor, or do not fit a lattice together.
     pub fn put_beside(&mut self, other: &Self) -> Result<(), Problem> {
         let (scene, added) = (&mut self.scene, &other.scene);
         let widths = |scene: &AnchorScene| [scene.feature_dim, scene.offsets_per_anchor];
         if widths(scene) != widths(added) {
             let [[f, k], [other_f, other_k]] = [widths(scene), widths(added)];
             return Err(undecodable(format!(
-                "scenes side by side need equal widths: {f} feature channels and {k} offsets an anchor here, {other_f} and \
+                "scenes side by side need equal widths: {f} feature channels and {k} offsets per anchor here, {other_f} and \
                  {other_k} there; train both with --without basis"
             )));
         }
-        let least =
+        let smallest =
             |scene: &AnchorScene| scene.cells.iter().map(|cell| i64::from(cell[0])).min().unwrap_or(0);
         let largest =
             |scene: &AnchorScene| scene.cells.iter().map(|cell| i64::from(cell[0])).max().unwrap_or(0);
-        let gap = (largest(scene) - least(scene)) / 8 + 1;
-        let shift = largest(scene) + gap - least(added);
+        let gap = (largest(scene) - smallest(scene)) / 8 + 1;
+        let shift = largest(scene) + gap - smallest(added);
         for [x, y, z] in &added.cells {
             let x = i32::try_from(i64::from(*x) + shift)
                 .map_err(|_| undecodable("the scenes are too large to lie side by side on one lattice"))?;

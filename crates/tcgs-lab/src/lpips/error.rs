@@ -57,7 +57,7 @@ pub enum LpipsError {
     #[error("two RGB images of one size are needed")]
     NotComparable,
     /// The images are smaller than the network's pooling allows.
-    #[error("an image of {width}x{height} pixels is too small for {network}, which needs {least} a side")]
+    #[error("an image of {width}x{height} pixels is too small for {network}, which needs {min} a side")]
     TooSmall {
         /// The network.
         network: LpipsNetwork,
@@ -66,7 +66,7 @@ pub enum LpipsError {
         /// Height in pixels.
         height: u32,
         /// The smallest width and height.
-        least: u32,
+        min: u32,
     },
     /// Features or their differences overflow f32.
     #[error("the weights lead to values beyond the range of f32")]

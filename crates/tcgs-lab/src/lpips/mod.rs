@@ -6,7 +6,7 @@
 //! The same images and weights give the same bits on one machine, whatever the number of threads: every sum has an order of
 //! its own, which depends on the images' size alone.
 //!
-//! Between stages only pooled maps are kept and each stage runs in strips, so that VGG16 takes some 300 bytes a pixel, where
+//! Between stages only pooled maps are kept and each stage runs in strips, so that VGG16 takes some 300 bytes per pixel, where
 //! its first maps as a whole would take 800.
 
 mod error;
@@ -105,8 +105,8 @@ impl Lpips {
         if fits(width) && fits(height) {
             return Ok(());
         }
-        let least = (1..).find(|side| fits(*side)).unwrap_or(u32::MAX);
-        Err(LpipsError::TooSmall { network: self.network, width, height, least })
+        let min = (1..).find(|side| fits(*side)).unwrap_or(u32::MAX);
+        Err(LpipsError::TooSmall { network: self.network, width, height, min })
     }
 
     fn input(&self, image: &Image) -> Rows {

@@ -70,11 +70,11 @@ fn rendering(sweeps: &[SweepRecord]) -> Vec<Plot> {
     for sweep in sweeps {
         let label = format!("{} Gaussians, {} px", sweep.gaussians, sweep.side);
         for variant in &sweep.variants {
-            let point = (variant.least(), variant.error.rmse);
+            let point = (variant.fastest_ms(), variant.error.rmse);
             add(&mut by_variant, &variant.name, true, point, label.clone());
         }
         if let Some(own) = sweep.variants.first() {
-            let point = (sweep.gaussians as f64, own.least());
+            let point = (sweep.gaussians as f64, own.fastest_ms());
             add(&mut by_side, &format!("{0} x {0} pixels", sweep.side), false, point, label);
         }
     }

@@ -108,7 +108,7 @@ impl RunRecord {
 /// Collects the course of a run from its reports.
 #[derive(Debug, Default)]
 pub struct Course {
-    began: Option<f64>,
+    started: Option<f64>,
     last: Option<u32>,
     samples: Vec<SeriesSample>,
 }
@@ -119,7 +119,7 @@ impl Course {
         if phase != Phase::Train {
             return;
         }
-        let began = *self.began.get_or_insert(progress.elapsed_seconds);
+        let started = *self.started.get_or_insert(progress.elapsed_seconds);
         if progress.step == 0 {
             return;
         }
@@ -130,7 +130,7 @@ impl Course {
         self.last = Some(bucket);
         self.samples.push(SeriesSample {
             step: progress.step,
-            seconds: progress.elapsed_seconds - began,
+            seconds: progress.elapsed_seconds - started,
             psnr: progress.psnr,
             ssim: progress.ssim,
             bytes: progress.bytes,

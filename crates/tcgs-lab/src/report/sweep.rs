@@ -97,9 +97,9 @@ pub fn measure(
     let before = Machine::now();
     let (scene, camera) = (Scene::Gaussians(shell(gaussians)), camera(side)?);
     let background = Background::Black;
-    let began = Instant::now();
+    let started = Instant::now();
     let exact = reference_view(&scene, &camera, background, Cutoffs::default())?;
-    let reference_seconds = began.elapsed().as_secs_f64();
+    let reference_seconds = started.elapsed().as_secs_f64();
     let whole = reference_view(&scene, &camera, background, Cutoffs::FINE)?;
     let different = || RenderError::Scene("a view and its reference differ in size".to_owned());
     let rounded: Vec<[f32; 4]> =
@@ -117,9 +117,9 @@ pub fn measure(
     // Variants in turn, so that all meet the machine in the same states.
     for _ in 0..repeats {
         for (renderer, variant) in renderers.iter_mut().zip(&mut variants) {
-            let began = Instant::now();
+            let started = Instant::now();
             renderer.colors(&camera)?;
-            variant.milliseconds.push(1e3 * began.elapsed().as_secs_f64());
+            variant.milliseconds.push(1e3 * started.elapsed().as_secs_f64());
         }
     }
     let line = devices.first().map(|device| device.adapter_line()).unwrap_or_default();
@@ -167,7 +167,7 @@ fn shell(count: usize) -> GaussianScene {
 
 impl VariantRecord {
     /// The least of its times: other work on the machine only adds to them.
-    pub fn least(&self) -> f64 {
+    pub fn fastest_ms(&self) -> f64 {
         self.milliseconds.iter().copied().fold(f64::INFINITY, f64::min)
     }
 }

@@ -238,7 +238,7 @@ impl<'d> Recorder<'d> {
         if let Some(times) = &mut times {
             times.end();
         }
-        let began = Instant::now();
+        let started = Instant::now();
         let timing = self.timing.take();
         let ticks = timing.as_ref().map(|timing| timing.resolve(device, self.outside())).transpose()?;
         let index = self.send()?;
@@ -250,7 +250,7 @@ impl<'d> Recorder<'d> {
         if let Some((profile, times)) = device.profile.as_ref().zip(times) {
             profile.add(
                 times,
-                sent - began,
+                sent - started,
                 sent.elapsed(),
                 kernels.iter().map(|kernel| (kernel.name, kernel.time)),
             );

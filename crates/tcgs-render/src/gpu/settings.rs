@@ -31,8 +31,8 @@ impl DeviceSettings {
     /// The adapter as kernels see it.
     pub(super) fn apply(&self, mut adapter: AdapterReport) -> AdapterReport {
         adapter.variant = self.variant.unwrap_or(adapter.variant);
-        let most = self.max_binding_bytes.unwrap_or(u64::MAX);
-        adapter.max_binding_bytes = adapter.max_binding_bytes.min(most);
+        let max = self.max_binding_bytes.unwrap_or(u64::MAX);
+        adapter.max_binding_bytes = adapter.max_binding_bytes.min(max);
         adapter
     }
 

@@ -1,4 +1,4 @@
-//! Anchors as the device holds them: one row of parameters an anchor.
+//! Anchors as the device holds them: one row of parameters per anchor.
 
 use crate::domain::{AnchorScene, Lattice, NearPlane, RenderNetworks, SceneFrame, SceneScale};
 
@@ -27,7 +27,7 @@ impl ModelShape {
         Self { features: scene.feature_dim, hidden, offsets: scene.offsets_per_anchor }
     }
 
-    /// Most offsets an anchor: a mask is one word.
+    /// Most offsets per anchor: a mask is one word.
     pub const MAX_OFFSETS: usize = u32::BITS as usize;
 
     /// Checks that the kernels know this shape; files may hold others.

@@ -27,7 +27,7 @@ pub struct LayerSpec {
 }
 
 impl LayerSpec {
-    /// The outputs from `first` on, so many of them, as a layer of the domain's; `values` are the flat parameters.
+    /// The outputs from `first` on, `outputs` of them, as a layer of the domain's; `values` are the flat parameters.
     #[must_use]
     pub fn part(&self, values: &[f32], first: usize, outputs: usize) -> DenseLayer {
         DenseLayer {

@@ -433,8 +433,8 @@ fn the_radius_is_three_deviations_along_the_longer_axis() {
             twin::project(&projection(&camera), &gaussian, twin::Cutoffs::default()).expect("in view");
         // The conic is the covariance's inverse: its smaller eigenvalue belongs to the longer axis.
         let (middle, half) = (0.5 * (splat.conic.x + splat.conic.z), 0.5 * (splat.conic.x - splat.conic.z));
-        let least = middle - half.hypot(splat.conic.y);
-        let radius = 3.0 / least.sqrt();
+        let min = middle - half.hypot(splat.conic.y);
+        let radius = 3.0 / min.sqrt();
         assert!((f64::from(found[3]) / radius - 1.0).abs() < 1e-3, "{} {radius}", found[3]);
         seen += 1;
     }

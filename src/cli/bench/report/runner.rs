@@ -219,9 +219,9 @@ impl Measured {
     ) -> Result<Self, CliError> {
         let mut decode_seconds = Vec::new();
         for _ in 0..DECODES {
-            let began = Instant::now();
+            let started = Instant::now();
             wiring::read(&output.file)?;
-            decode_seconds.push(began.elapsed().as_secs_f64());
+            decode_seconds.push(started.elapsed().as_secs_f64());
         }
         let file = wiring::read(&output.file)?;
         let dataset = wiring::load_dataset(dataset)?;
@@ -292,14 +292,14 @@ struct Position {
     settled: usize,
     steps: u64,
     steps_done: u64,
-    began: Instant,
+    started: Instant,
 }
 
 impl Position {
     fn of(plan: &[PlannedRun], is_kept: impl Fn(&PlannedRun) -> bool) -> Self {
         let settled = plan.iter().filter(|run| is_kept(run)).count();
         let steps = plan.iter().filter(|run| !is_kept(run)).map(steps).sum();
-        Self { runs: plan.len(), settled, steps, steps_done: 0, began: Instant::now() }
+        Self { runs: plan.len(), settled, steps, steps_done: 0, started: Instant::now() }
     }
 
     fn number(&self) -> usize {
@@ -315,7 +315,7 @@ impl Position {
     fn at(&self, progress: &Progress) -> Progress {
         let step = self.steps_done + progress.step;
         let left = self.steps.saturating_sub(step);
-        let elapsed = self.began.elapsed().as_secs_f64();
+        let elapsed = self.started.elapsed().as_secs_f64();
         let eta_seconds = (step > 0).then(|| elapsed * left as f64 / step as f64);
         Progress { step, total: self.steps, eta_seconds, ..progress.clone() }
     }

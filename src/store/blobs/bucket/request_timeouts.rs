@@ -26,7 +26,7 @@ use tokio::time::{Sleep, sleep, timeout};
 pub(super) struct RequestTimeouts {
     /// The longest pause in an answer, and before it once the request is sent.
     pub(super) silence: Duration,
-    /// The slowest connection on which a request is sent to its end, in bytes a second.
+    /// The slowest connection on which a request is sent to its end, in bytes per second.
     pub(super) slowest: u64,
     /// The longest that a server may take to make one object of its parts; Amazon's takes minutes for large ones.
     pub(super) assembly: Duration,

@@ -89,12 +89,12 @@ impl Drop for Lock {
 
 impl Bucket {
     async fn lock_upload(&self, id: UploadId) -> Result<Option<Lock>, BlobError> {
-        let began = Instant::now();
+        let started = Instant::now();
         loop {
             if let Some(writer) = self.store.lock_upload(id).await? {
                 return Ok(Some(Lock::new(writer, Arc::clone(&self.store))));
             }
-            if began.elapsed() >= LOCK_PATIENCE || !self.store.is_upload(id).await? {
+            if started.elapsed() >= LOCK_PATIENCE || !self.store.is_upload(id).await? {
                 return Ok(None);
             }
             sleep(LOCK_PAUSE).await;

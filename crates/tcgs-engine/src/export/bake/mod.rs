@@ -256,8 +256,8 @@ impl AnchorSampler<'_> {
                         opacities[*view] = x.tanh().clamp(0.0, 1.0);
                     }
                 }
-                let most = opacities.iter().fold(0.0_f32, |most, opacity| most.max(*opacity));
-                if f64::from(most) < ALPHA_MIN {
+                let max = opacities.iter().fold(0.0_f32, |max, opacity| max.max(*opacity));
+                if f64::from(max) < ALPHA_MIN {
                     return None;
                 }
                 // The mean over the views of the two larger axes, as one.

@@ -13,7 +13,7 @@ const DISTANCE: f64 = 3.0;
 /// Horizontal field of view in radians, which holds the body with a margin.
 const FIELD: f64 = 0.9;
 
-/// At most so many views are baked from: more tell a Gaussian of sixteen coefficients little and cost in proportion.
+/// Most views that are baked from: more tell a Gaussian of sixteen coefficients little and cost in proportion.
 const MAX_VIEWS: usize = 128;
 
 /// `count` cameras of `side` x `side` pixels, evenly spread over a sphere around the scene and looking at its middle. The

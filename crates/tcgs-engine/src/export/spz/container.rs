@@ -157,9 +157,9 @@ fn read_gzip(bytes: &[u8]) -> Result<(Header, Vec<u8>), SpzError> {
     }
     let needed: u64 = header.lengths().iter().sum();
     let length = |found: u64| SpzError::Length { count: header.count, needed, found };
-    let most = MAX_GZIP_RATIO * bytes.len() as u64;
-    if needed > most {
-        return Err(length(most));
+    let max = MAX_GZIP_RATIO * bytes.len() as u64;
+    if needed > max {
+        return Err(length(max));
     }
     let mut arrays = Vec::new();
     gzip.take(needed + 1).read_to_end(&mut arrays).map_err(error)?;
@@ -174,9 +174,9 @@ fn read_zstd(bytes: &[u8]) -> Result<(Header, Vec<u8>), SpzError> {
     let mut arrays = Vec::new();
     for (frame, needed) in frames.into_iter().zip(header.lengths()) {
         let length = |found: u64| SpzError::Length { count: header.count, needed, found };
-        let most = MAX_ZSTD_RATIO * frame.len() as u64;
-        if needed > most {
-            return Err(length(most));
+        let max = MAX_ZSTD_RATIO * frame.len() as u64;
+        if needed > max {
+            return Err(length(max));
         }
         if frame.is_empty() {
             continue;

@@ -115,12 +115,12 @@ fn opacity(logit: f32) -> f64 {
 fn fractional_bits(scene: &GaussianScene, kept: &[usize]) -> Result<u8, SpzError> {
     let farthest = kept
         .iter()
-        .map(|index| (*index, scene.means[*index].iter().fold(0.0_f32, |most, value| most.max(value.abs()))))
+        .map(|index| (*index, scene.means[*index].iter().fold(0.0_f32, |max, value| max.max(value.abs()))))
         .max_by(|a, b| a.1.total_cmp(&b.1));
-    let Some((index, most)) = farthest else { return Ok(DEFAULT_BITS as u8) };
+    let Some((index, max)) = farthest else { return Ok(DEFAULT_BITS as u8) };
     let limit = f64::from((1_u32 << (POSITION_BITS - 1)) - 1);
-    if f64::from(most) > limit {
-        return Err(SpzError::TooFar { index, coordinate: most as i64 });
+    if f64::from(max) > limit {
+        return Err(SpzError::TooFar { index, coordinate: max as i64 });
     }
     let mut sizes: Vec<f32> =
         kept.iter().map(|index| scene.log_scales[*index].iter().sum::<f32>() / 3.0).collect();
@@ -129,7 +129,7 @@ fn fractional_bits(scene: &GaussianScene, kept: &[usize]) -> Result<u8, SpzError
     let wanted = (UNITS_A_SIZE.log2() - median / std::f64::consts::LN_2).ceil();
     let most_bits = POSITION_BITS - 1;
     let mut bits = (wanted.clamp(f64::from(DEFAULT_BITS), f64::from(most_bits))) as u32;
-    while (f64::from(most) * f64::from(1_u32 << bits)).round() > limit {
+    while (f64::from(max) * f64::from(1_u32 << bits)).round() > limit {
         bits -= 1;
     }
     Ok(bits as u8)

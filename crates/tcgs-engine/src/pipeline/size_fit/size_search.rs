@@ -247,10 +247,10 @@ mod tests {
     #[test]
     fn a_guess_where_nothing_fits_does_not_hide_files_that_fit_elsewhere() {
         let mut model = Model { files: 0, best: 0.0 };
-        let least = model.bytes(Candidate { point: 19, kept: 1 }).expect("bytes");
-        let found = search(&mut model, 20, 3000, least, |_| 0).expect("no fault").expect("fits");
-        assert!(model.bytes(found).expect("bytes") <= least);
-        assert_eq!(search(&mut model, 20, 3000, least - 1, |_| 0).expect("no fault"), None);
+        let min = model.bytes(Candidate { point: 19, kept: 1 }).expect("bytes");
+        let found = search(&mut model, 20, 3000, min, |_| 0).expect("no fault").expect("fits");
+        assert!(model.bytes(found).expect("bytes") <= min);
+        assert_eq!(search(&mut model, 20, 3000, min - 1, |_| 0).expect("no fault"), None);
     }
 
     #[test]

@@ -21,7 +21,7 @@ fn lattice_values(values: &[f32]) -> Result<[f32; 4], CheckpointError> {
     }
 }
 
-/// The shape of a state: the schedule's, or a narrower one.
+/// The shape of a state: the schedule's, or that after channel pruning.
 fn shape_of(state: &mut ModelState, of_schedule: ModelShape) -> Result<ModelShape, CheckpointError> {
     if !state.has("shape") {
         return Ok(of_schedule);

@@ -1,7 +1,7 @@
 //! The anchor model in training: features, scalings and offsets of anchors, and the networks that they share.
 
 mod checkpoint;
-mod narrow;
+mod prune_channels;
 
 use std::sync::Arc;
 
@@ -101,11 +101,11 @@ impl AnchorTrainer {
         let shape = schedule.shape;
         let rule = schedule.voxel.for_points(positions, extent);
         // Half the limit is left for growth.
-        let most = schedule.max_anchors / 2;
+        let max = schedule.max_anchors / 2;
         let first = if schedule.begins_colored {
-            anchors_from_points(positions, colors, rule, shape, most, rng)?
+            anchors_from_points(positions, colors, rule, shape, max, rng)?
         } else {
-            let anchors = initial_rows(positions, rule, shape, most)?;
+            let anchors = initial_rows(positions, rule, shape, max)?;
             FirstAnchors { anchors, networks: NetworkLayout::new(shape).initial(rng) }
         };
         warn_of_lattice(&first.anchors.lattice, positions, rule);
@@ -346,7 +346,7 @@ impl ModelTrainer for AnchorTrainer {
             self.compression.as_ref().is_some_and(|compression| compression.changes_stage_after(step.number));
         self.schedule.densifies(step.number)
             || self.fixes_masks(step.number)
-            || self.schedule.narrowing_estimates.contains(&step.number)
+            || self.schedule.channel_pruning_estimates.contains(&step.number)
             || changes_stage
     }
 
@@ -357,14 +357,14 @@ impl ModelTrainer for AnchorTrainer {
         if self.fixes_masks(step.number) {
             self.fix_masks(step.number, views)?;
         }
-        if self.schedule.narrowing_estimates.contains(&step.number) {
-            self.estimate_narrowing(views)?;
+        if self.schedule.channel_pruning_estimates.contains(&step.number) {
+            self.estimate_channel_pruning(views)?;
         }
         if self.compression.as_ref().is_some_and(|compression| compression.starts_rounding_after(step.number))
         {
             self.prune_invisible_anchors(step.number, views)?;
-            if self.schedule.narrows {
-                self.narrow(step.number, views)?;
+            if self.schedule.prunes_channels {
+                self.prune_channels(step.number, views)?;
             }
         }
         if self.compression.as_ref().is_some_and(|compression| compression.changes_stage_after(step.number)) {

@@ -247,7 +247,7 @@ impl ContextFit<'_> {
             tracing::debug!(anchors = self.rows.len(), ?bytes, "attributes and model with {what}");
             let bytes = bytes.iter().sum::<f64>();
             // The first of equals, which is the trained one.
-            if best.as_ref().is_none_or(|(least, _)| bytes < *least) {
+            if best.as_ref().is_none_or(|(min, _)| bytes < *min) {
                 best = Some((bytes, net));
             }
             Ok::<_, TrainError>(())

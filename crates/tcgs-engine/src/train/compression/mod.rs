@@ -11,7 +11,7 @@ mod context_fit;
 mod context_model;
 mod finished;
 mod frozen_quant_steps;
-mod narrowed_context;
+mod pruned_context;
 mod quant_step_fit;
 mod quant_steps;
 mod statistics;
@@ -27,7 +27,7 @@ use context_model::{
     BYTES_PER_PARAMETER, ContextModel, QuantState, outputs_of, sample_of, set_initial_adjustments,
     stored_parameters, stored_pass,
 };
-use narrowed_context::copy_narrowed;
+use pruned_context::copy_kept_channels;
 use quant_steps::{carry_quant_steps, mean_quant_steps};
 use statistics::group_statistics;
 
@@ -40,13 +40,13 @@ use crate::{
     train::{
         Adam, AdamStep, BaseQuantSteps, CompressionSchedule, CompressionStage, OffsetMasks, Result,
         SizeLimit, TrainedContext,
+        channel_pruning::ChannelPruning,
         context::{
             ContextAnchors, ContextConfig, ContextLayout, ContextLearningRates, ContextNet, ContextPass,
             ContextState, GroupStatistics, PlaneSource, Quantization, QuantizationPhase, QuantizedRows,
             RateInputs, RateTerm, RoundedNetworks, sample_anchors, sample_size,
         },
         model_trainer::Step,
-        narrowing::Narrowing,
     },
 };
 
@@ -58,7 +58,7 @@ pub(in crate::train) struct Compression {
     layout: NetworkLayout,
     quant: Option<QuantState>,
     context_model: Option<ContextModel>,
-    /// The expected bits of features after narrowing over those before it, once estimated; none after it.
+    /// The expected bits of features after channel pruning over those before it, once estimated; none after it.
     feature_share: Option<f64>,
 }
 
@@ -67,7 +67,7 @@ fn group_channels(shape: ModelShape) -> [usize; 3] {
     [shape.features, shape.offset_column() - shape.scaling_column(), 3 * shape.offsets]
 }
 
-/// The context model's sizes for a scene of so many anchors.
+/// The context model's sizes for a scene of `anchors` anchors.
 fn config(schedule: &CompressionSchedule, shape: ModelShape, anchors: usize) -> ContextConfig {
     let mut config = ContextConfig::for_anchors(schedule.kind, group_channels(shape), anchors);
     if !schedule.compresses_planes {
@@ -118,7 +118,11 @@ impl Compression {
     }
 
     /// Follows the model's change to the shape of `anchors`, in their order. Quantization steps stay.
-    pub(in crate::train) fn narrow(&mut self, narrowing: &Narrowing, anchors: &AnchorRows) -> Result<()> {
+    pub(in crate::train) fn prune_channels(
+        &mut self,
+        pruning: &ChannelPruning,
+        anchors: &AnchorRows,
+    ) -> Result<()> {
         self.layout = NetworkLayout::new(anchors.shape);
         self.feature_share = None;
         let Some(QuantState { base_quant_steps, base, rows, .. }) = &self.quant else { return Ok(()) };
@@ -132,7 +136,7 @@ impl Compression {
             let statistics = group_statistics(anchors, base);
             let mut values = layout.initial(&statistics, &mut Pcg64::seed_from_u64(self.schedule.seed))?;
             let trained = old.net.save()?.values;
-            copy_narrowed(narrowing, base[0], (old_layout, &trained), (&layout, &mut values))?;
+            copy_kept_channels(pruning, base[0], (old_layout, &trained), (&layout, &mut values))?;
             let state = ContextState::new(values);
             let model = self.context_model_of(config, &state, old.frame, statistics, &anchors.cells)?;
             self.context_model = Some(ContextModel { renewed: true, ..model });
@@ -237,7 +241,7 @@ impl Compression {
         Ok(RateTerm::plan(self.layout.shape, self.rate_capacity(anchors)).make(&self.device)?)
     }
 
-    /// Room for the samples of so many anchors and of a few more.
+    /// Room for the samples of `anchors` anchors and of a few more.
     fn rate_capacity(&self, anchors: usize) -> usize {
         ContextNet::capacity(sample_size(anchors, self.schedule.sample_share))
     }

@@ -123,10 +123,10 @@ fn closest(limit: &SizeLimit, bytes_at: &mut dyn FnMut(f32) -> Option<f64>) -> O
 
 /// Steps `octaves` coarser, within their range from the base steps; `[N][3]`.
 fn coarser(steps: &[f32], base: [f32; 3], octaves: f32) -> Vec<f32> {
-    let most = STEP_OCTAVES.exp2();
+    let max = STEP_OCTAVES.exp2();
     let factor = octaves.exp2();
     let of_group = steps.iter().zip(base.into_iter().cycle());
-    of_group.map(|(step, base)| (step * factor).clamp(base / most, base * most)).collect()
+    of_group.map(|(step, base)| (step * factor).clamp(base / max, base * max)).collect()
 }
 
 /// Adds to the step adjustments that networks predict. A group's adjustment is its last output.
@@ -163,9 +163,9 @@ mod tests {
                     };
                     let limit = SizeLimit { bytes, octaves: -0.5..=1.5 };
                     let octaves = closest(&limit, &mut bytes_at).expect("files");
-                    let (found, least) = (bytes_at(octaves).expect("a file"), bytes_at(1.5).expect("a file"));
+                    let (found, min) = (bytes_at(octaves).expect("a file"), bytes_at(1.5).expect("a file"));
                     assert!(files <= 2 + ATTEMPTS + 2, "{files}");
-                    if least > bytes {
+                    if min > bytes {
                         assert_eq!(octaves, 1.5, "what is out of reach is approached");
                     } else {
                         assert!((0.99 * bytes..=bytes).contains(&found), "{slope} {bend} {bytes}: {found}");

@@ -25,7 +25,7 @@ pub struct PlaneConfig {
 }
 
 impl PlaneConfig {
-    /// Sizes for a scene of so many anchors. Planes grow with the bytes that they can save: 0.3 kB of latents
+    /// Sizes for a scene of `anchors` anchors. Planes grow with the bytes that they can save: 0.3 kB of latents
     /// and 0.6 kB of layers for a few thousand anchors, ten times that for a hundred thousand.
     #[must_use]
     pub fn for_anchors(anchors: usize) -> Self {
@@ -110,7 +110,7 @@ pub struct ContextConfig {
 }
 
 impl ContextConfig {
-    /// Sizes for a scene of so many anchors whose attribute groups have so many channels.
+    /// Sizes for a scene of `anchors` anchors whose attribute groups have `channels` channels.
     #[must_use]
     pub fn for_anchors(kind: ContextKind, channels: [usize; 3], anchors: usize) -> Self {
         let hidden = match anchors {

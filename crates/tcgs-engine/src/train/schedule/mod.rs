@@ -197,9 +197,9 @@ pub struct Schedule {
     /// Whether offsets that are invisible in all training views are pruned; the baseline keeps every offset, as published.
     pub prunes_invisible: bool,
     /// Whether features change to their own basis before everything is rounded, and channels and offset slots without use go.
-    pub narrows: bool,
+    pub prunes_channels: bool,
     /// Steps after which what that will save is estimated, for a target size.
-    pub narrowing_estimates: Vec<u32>,
+    pub channel_pruning_estimates: Vec<u32>,
     /// Compression-aware training; none for the baseline.
     pub compression: Option<CompressionSchedule>,
     /// The schedule of plain Gaussians.
@@ -226,7 +226,7 @@ impl Schedule {
         };
         let steps = options.iterations.unwrap_or(default_steps);
         let part = |fraction: f64| (f64::from(steps) * fraction).round() as u32;
-        let narrows = options.has(Component::Basis) && options.preset != Preset::Paper;
+        let prunes_channels = options.has(Component::Basis) && options.preset != Preset::Paper;
         let rate = |published: Decay| anchor_learning_rate(published, steps);
         let compression = CompressionSchedule::new(options, steps);
         let grows_by_rate = compression.is_some() && options.preset != Preset::Paper;
@@ -278,9 +278,9 @@ impl Schedule {
             volume_weight: 0.01,
             masks: masks(options, steps),
             prunes_invisible: options.model == ModelKind::Tcgs,
-            narrows,
+            prunes_channels,
             // Before lambda is first corrected, and when masks have settled.
-            narrowing_estimates: if narrows && options.max_bytes.is_some() {
+            channel_pruning_estimates: if prunes_channels && options.max_bytes.is_some() {
                 vec![part(0.43), part(0.75) + 1]
             } else {
                 Vec::new()
@@ -319,7 +319,7 @@ impl Schedule {
             compression.changes_stage_after(step) && compression.stage(step + 1) == CompressionStage::Rounded
         };
         self.masks.is_some_and(|masks| masks.until == step)
-            || self.narrowing_estimates.contains(&step)
+            || self.channel_pruning_estimates.contains(&step)
             || self.compression.as_ref().is_some_and(rounds)
     }
 

@@ -37,7 +37,7 @@ pub(in crate::train) struct PlainSchedule {
     pub densify_every: u32,
     /// Opacities are reset before this step only,
     pub reset_until: u32,
-    /// and so many steps apart.
+    /// and this many steps apart.
     pub reset_every: u32,
     /// Whether there is a reset where growth begins too: against a haze of the background's white.
     pub reset_first: bool,

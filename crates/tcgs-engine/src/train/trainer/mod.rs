@@ -223,7 +223,7 @@ const MAX_SUBMISSION_MS: f64 = 10.0;
 const MS_A_GAUSSIAN: f64 = 6e-6;
 const MS_A_PIXEL: f64 = 1e-6;
 
-/// Whether a step of so many Gaussians is submitted in parts, since a driver could take a slow card for a hung one. Software adapters
+/// Whether a step of `gaussians` Gaussians is submitted in parts, since a driver could take a slow card for a hung one. Software adapters
 /// have no such limit.
 fn is_long(device: &Device, gaussians: usize, camera: &Camera) -> bool {
     let pixels = f64::from(camera.intrinsics.width) * f64::from(camera.intrinsics.height);
@@ -680,8 +680,9 @@ impl Run {
         let seconds = self.state.seconds + self.started.elapsed().as_secs_f64();
         let steps = self.schedule.steps;
         let learnt = self.schedule.shape;
-        let narrowed = matches!(&scene, Scene::Anchors(scene) if ModelShape::of(scene) != learnt);
-        let narrowed_from = narrowed.then_some(Widths { features: learnt.features, offsets: learnt.offsets });
+        let is_pruned = matches!(&scene, Scene::Anchors(scene) if ModelShape::of(scene) != learnt);
+        let narrowed_from =
+            is_pruned.then_some(Widths { features: learnt.features, offsets: learnt.offsets });
         let choices = Choices { narrowed_from, ..self.choices };
         Ok(Trained { scene, unrounded, context, steps, seconds, choices })
     }

@@ -94,7 +94,7 @@ fn the_figures_of_a_step_are_one_transfer() {
     assert_eq!(device.buffers_made() - made, 1);
 }
 
-/// A model that has just been replaced, by anchors or by a narrower one, has rendered nothing yet.
+/// A model that has just been replaced, by anchors or by one with fewer channels, has rendered nothing yet.
 #[test]
 fn every_report_counts_gaussians() {
     let device = lavapipe();

@@ -352,9 +352,9 @@ fn the_most_anchors_are_what_the_widest_buffer_binds() {
         // The same of a device with narrower bindings, where all buffers are really made.
         let max_binding_bytes = Some(1 << 20);
         let device = gpu_with(DeviceSettings { max_binding_bytes, ..DeviceSettings::default() });
-        let most = NeuralGaussians::max_anchors(device.adapter(), shape);
-        assert!(has_room(&device, shape, most), "{most} anchors of {features} features");
-        assert!(!has_room(&device, shape, most + 1), "{most} anchors are not the most");
+        let max = NeuralGaussians::max_anchors(device.adapter(), shape);
+        assert!(has_room(&device, shape, max), "{max} anchors of {features} features");
+        assert!(!has_room(&device, shape, max + 1), "{max} anchors are not the most");
     }
 }
 

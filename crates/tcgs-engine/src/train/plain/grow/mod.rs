@@ -167,10 +167,10 @@ fn normal(rng: &mut impl Rng) -> f32 {
 
 /// Lowers every opacity to at most 0.01 and clears its moments, so that Gaussians without support in the photographs fade out.
 pub(super) fn reset_opacities(state: &mut TrainableGaussians) {
-    let most = logit(RESET_OPACITY);
+    let max = logit(RESET_OPACITY);
     for index in 0..state.values.len() {
         let value = &mut state.values.base_mut(index)[OPACITY];
-        *value = value.min(most);
+        *value = value.min(max);
         state.first.base_mut(index)[OPACITY] = 0.0;
         state.second.base_mut(index)[OPACITY] = 0.0;
     }

@@ -1,4 +1,4 @@
-//! Narrows the model in training to the channels and offset slots that pictures need.
+//! Prunes the channels and offset slots of the model in training that pictures do not need.
 
 use super::AnchorTrainer;
 use crate::{
@@ -7,10 +7,10 @@ use crate::{
     render::NeuralGaussians,
     train::{
         Moments, Result,
+        channel_pruning::ChannelPruning,
         compression::Compression,
         feature_basis::{FeatureBasis, FeatureMoments},
         model_trainer::Views,
-        narrowing::Narrowing,
         sensitivity::feature_sensitivity,
     },
 };
@@ -18,7 +18,7 @@ use crate::{
 impl AnchorTrainer {
     /// Changes features to the basis that pictures and anchors suggest, and drops channels and offset slots that no picture needs
     /// (METHOD.md §4.12), if the model has quantization steps already.
-    pub(super) fn narrow(&mut self, step: u32, views: &mut Views<'_>) -> Result<()> {
+    pub(super) fn prune_channels(&mut self, step: u32, views: &mut Views<'_>) -> Result<()> {
         let (state, statistics) = self.read()?;
         let Some(basis) = self.feature_basis(&state.anchors, views)? else { return Ok(()) };
         let used = state.anchors.masks.iter().fold(0, |used, mask| used | mask);
@@ -26,14 +26,14 @@ impl AnchorTrainer {
         if slots.is_empty() {
             return Ok(());
         }
-        let narrowing = Narrowing { from: self.shape, basis, slots };
-        let shape = narrowing.shape();
-        tracing::debug!(step, ?shape, "the model is narrower");
-        let state = narrowing.anchors(state);
+        let pruning = ChannelPruning { from: self.shape, basis, slots };
+        let shape = pruning.shape();
+        tracing::debug!(step, ?shape, "channels were pruned");
+        let state = pruning.anchors(state);
         let moments = &self.network_moments;
         let networks = [&self.device_anchors.networks, &moments.first, &moments.second];
         let [first, second, third] = networks.map(|buffer| self.device.read(buffer));
-        let [networks, first, second] = narrowing.networks([first?, second?, third?]);
+        let [networks, first, second] = pruning.networks([first?, second?, third?]);
         self.shape = shape;
         self.layout = NetworkLayout::new(shape);
         self.owners = self.layout.owners();
@@ -43,13 +43,13 @@ impl AnchorTrainer {
         self.neural = NeuralGaussians::new(self.device.clone(), shape, near, SceneScale::DEFAULT)?;
         self.rendered = false;
         if let Some(compression) = &mut self.compression {
-            compression.narrow(&narrowing, &state.anchors)?;
+            compression.prune_channels(&pruning, &state.anchors)?;
         }
-        self.write(state, &narrowing.statistics(&statistics), step)
+        self.write(state, &pruning.statistics(&statistics), step)
     }
 
-    /// Tells the estimate of the file's size what narrowing will save, before the model is narrowed.
-    pub(super) fn estimate_narrowing(&mut self, views: &mut Views<'_>) -> Result<()> {
+    /// Lets the estimate of the file's size expect the bits that channel pruning will save.
+    pub(super) fn estimate_channel_pruning(&mut self, views: &mut Views<'_>) -> Result<()> {
         let (state, _) = self.read()?;
         let basis = self.feature_basis(&state.anchors, views)?;
         if let (Some(compression), Some(basis)) = (&mut self.compression, basis) {

@@ -1,18 +1,18 @@
-//! Carries a context model over to the channels of a narrower model.
+//! Carries a context model over to the channels that are left after channel pruning.
 //!
 //! Hidden layers, planes and what is predicted of scalings stay as they are. Of offsets, the outputs of the kept slots stay. Means of
 //! features follow their basis, for a mean of a linear map is the map of the means; deviations do not, and begin as those of the
 //! whole scene.
 
-use crate::train::{ContextError, context::ContextLayout, narrowing::Narrowing};
+use crate::train::{ContextError, channel_pruning::ChannelPruning, context::ContextLayout};
 
-/// Copies the parameters of a context model into those of the narrower one, which are newly initialized. `feature_step` is the base
+/// Copies the parameters of a context model into those of the smaller one, which are newly initialized. `feature_step` is the base
 /// quantization step of features, in which networks predict.
 ///
 /// # Errors
 /// [`ContextError::Config`] if the models' planes differ.
-pub(super) fn copy_narrowed(
-    narrowing: &Narrowing,
+pub(super) fn copy_kept_channels(
+    pruning: &ChannelPruning,
     feature_step: f32,
     (old, from): (&ContextLayout, &[f32]),
     (new, to): (&ContextLayout, &mut [f32]),
@@ -33,7 +33,7 @@ pub(super) fn copy_narrowed(
             new_row[2 * after] = old_row[2 * before];
             match group {
                 0 => {
-                    let basis = &narrowing.basis;
+                    let basis = &pruning.basis;
                     let shift = if is_bias { f64::from(feature_step).recip() } else { 0.0 };
                     let means: Vec<f64> = old_row[..before]
                         .iter()
@@ -48,7 +48,7 @@ pub(super) fn copy_narrowed(
                 1 => new_row.copy_from_slice(old_row),
                 _ => {
                     let (means, deviations) = old_row[..2 * before].split_at(before);
-                    let kept = narrowing.of_slots(means, 3).chain(narrowing.of_slots(deviations, 3));
+                    let kept = pruning.of_slots(means, 3).chain(pruning.of_slots(deviations, 3));
                     new_row.iter_mut().zip(kept).for_each(|(place, value)| *place = value);
                 }
             }
@@ -98,7 +98,7 @@ mod tests {
             back: vec![0.0; 6],
             bits_share: 1.0,
         };
-        let narrowing = Narrowing { from: ModelShape::new(3, 3), basis, slots: vec![0, 2] };
+        let pruning = ChannelPruning { from: ModelShape::new(3, 3), basis, slots: vec![0, 2] };
         for kind in [ContextKind::Position, ContextKind::TriPlaneKnn] {
             let old = ContextLayout::new(config(kind, [3, 6, 9])).expect("known sizes");
             let new = ContextLayout::new(config(kind, [2, 6, 6])).expect("known sizes");
@@ -108,7 +108,7 @@ mod tests {
                 deviations: vec![4.0; channels],
             });
             let mut to = new.initial(&statistics, &mut rng).expect("statistics");
-            copy_narrowed(&narrowing, STEP, (&old, &from), (&new, &mut to)).expect("equal planes");
+            copy_kept_channels(&pruning, STEP, (&old, &from), (&new, &mut to)).expect("equal planes");
             assert_eq!(to[..new.hidden.outputs], from[..old.hidden.outputs], "hidden layers");
             assert_eq!(to[new.networks..], from[old.networks..], "planes");
             let hidden: Vec<f64> = (0..5).map(|_| rng.random_range(0.0..2.0)).collect();
@@ -121,8 +121,8 @@ mod tests {
                 assert!((found - expected).abs() < 1e-4, "{found} for {expected}")
             };
             for channel in 0..2 {
-                let map = &narrowing.basis.to[3 * channel..][..3];
-                let mean = |i: usize| before(0, i) - narrowing.basis.mean[i] / f64::from(STEP);
+                let map = &pruning.basis.to[3 * channel..][..3];
+                let mean = |i: usize| before(0, i) - pruning.basis.mean[i] / f64::from(STEP);
                 near(after(0, channel), (0..3).map(|i| map[i] * mean(i)).sum());
                 near(after(0, 2 + channel), 2.0);
             }

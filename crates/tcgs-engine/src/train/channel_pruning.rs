@@ -1,4 +1,4 @@
-//! A model's change to a narrower shape: features in another basis, and fewer offset slots.
+//! Channel pruning: a model's change to fewer feature channels, in another basis, and fewer offset slots.
 //!
 //! Invariant: but for channels and slots that are left out, the scene renders as before.
 //!
@@ -10,8 +10,8 @@ use std::ops::Range;
 use super::{MaskRows, Statistics, densify::TrainableAnchors, feature_basis::FeatureBasis};
 use crate::model::{AnchorRows, LayerSpec, ModelShape, NetworkLayout};
 
-/// The narrower shape of a model, and what it keeps.
-pub(super) struct Narrowing {
+/// The channels and offset slots that a model keeps.
+pub(super) struct ChannelPruning {
     /// The shape before.
     pub(super) from: ModelShape,
     /// The features' new basis.
@@ -20,7 +20,7 @@ pub(super) struct Narrowing {
     pub(super) slots: Vec<usize>,
 }
 
-impl Narrowing {
+impl ChannelPruning {
     /// The shape after.
     pub(super) fn shape(&self) -> ModelShape {
         ModelShape { features: self.basis.channels, hidden: self.from.hidden, offsets: self.slots.len() }
@@ -38,13 +38,13 @@ impl Narrowing {
     /// Rows of anchors, whose features `feature` maps.
     fn rows(&self, values: &[f32], feature: impl Fn(&[f32]) -> Vec<f32>) -> Vec<f32> {
         let from = self.from;
-        let mut narrow = Vec::with_capacity(values.len() / from.row() * self.shape().row());
+        let mut pruned = Vec::with_capacity(values.len() / from.row() * self.shape().row());
         for row in values.chunks_exact(from.row()) {
-            narrow.extend(feature(&row[..from.features]));
-            narrow.extend_from_slice(&row[from.scaling_column()..from.offset_column()]);
-            narrow.extend(self.of_slots(&row[from.offset_column()..], 3));
+            pruned.extend(feature(&row[..from.features]));
+            pruned.extend_from_slice(&row[from.scaling_column()..from.offset_column()]);
+            pruned.extend(self.of_slots(&row[from.offset_column()..], 3));
         }
-        narrow
+        pruned
     }
 
     fn mask(&self, mask: u32) -> u32 {
@@ -94,7 +94,7 @@ impl Narrowing {
     pub(super) fn networks(&self, networks: [Vec<f32>; 3]) -> [Vec<f32>; 3] {
         let [values, first, second] = networks;
         let (from, to) = (NetworkLayout::new(self.from), NetworkLayout::new(self.shape()));
-        let mut narrow = [(); 3].map(|()| vec![0.0; to.parameters]);
+        let mut pruned = [(); 3].map(|()| vec![0.0; to.parameters]);
         let outputs = from.hidden.outputs;
         for output in 0..outputs {
             let of = |values: &[f32]| -> (Vec<f32>, Vec<f32>, f32) {
@@ -106,9 +106,9 @@ impl Narrowing {
             };
             let mut put = |array: usize, features: Vec<f32>, view: Vec<f32>, bias: f32| {
                 for (input, weight) in features.into_iter().chain(view).enumerate() {
-                    narrow[array][to.hidden.weights + input * outputs + output] = weight;
+                    pruned[array][to.hidden.weights + input * outputs + output] = weight;
                 }
-                narrow[array][to.hidden.bias + output] = bias;
+                pruned[array][to.hidden.bias + output] = bias;
             };
             let (weights, view, bias) = of(&values);
             let (weights, added) = self.basis.weights(&weights);
@@ -121,23 +121,23 @@ impl Narrowing {
         for (head, (old, new)) in from.heads.iter().zip(&to.heads).enumerate() {
             let width = [1, 7, 3][head];
             for (array, values) in [&values, &first, &second].into_iter().enumerate() {
-                self.head(width, (old, values), (new, &mut narrow[array]));
+                self.head(width, (old, values), (new, &mut pruned[array]));
             }
         }
-        narrow
+        pruned
     }
 
     fn head(
         &self,
         width: usize,
         (old, values): (&LayerSpec, &[f32]),
-        (new, narrow): (&LayerSpec, &mut [f32]),
+        (new, pruned): (&LayerSpec, &mut [f32]),
     ) {
         for row in 0..=old.inputs {
             // The biases follow the weights of the last input.
             let (from, to) = (old.weights + row * old.outputs, new.weights + row * new.outputs);
             let kept = self.of_slots(&values[from..from + old.outputs], width);
-            narrow[to..to + new.outputs].iter_mut().zip(kept).for_each(|(place, value)| *place = value);
+            pruned[to..to + new.outputs].iter_mut().zip(kept).for_each(|(place, value)| *place = value);
         }
     }
 }
@@ -179,7 +179,7 @@ mod tests {
         }
     }
 
-    fn narrowing(state: &TrainableAnchors, rng: &mut Pcg64, quant_step: f64) -> Narrowing {
+    fn pruning(state: &TrainableAnchors, rng: &mut Pcg64, quant_step: f64) -> ChannelPruning {
         let rows = (0..state.anchors.len()).map(|anchor| &state.anchors.row(anchor)[..FROM.features]);
         let mut sensitivity = vec![0.0; FROM.features * FROM.features];
         for _ in 0..20 {
@@ -187,7 +187,7 @@ mod tests {
             add_products(&mut sensitivity, &row, 1.0);
         }
         let basis = FeatureBasis::of(&FeatureMoments::of(rows, FROM.features), &sensitivity, quant_step);
-        Narrowing { from: FROM, basis: basis.expect("a basis"), slots: vec![0, 3] }
+        ChannelPruning { from: FROM, basis: basis.expect("a basis"), slots: vec![0, 3] }
     }
 
     /// The networks' outputs for a feature and the four inputs of a view.
@@ -213,26 +213,26 @@ mod tests {
     fn kept_slots_look_as_before() {
         let mut rng = Pcg64::seed_from_u64(1);
         let state = state(&mut rng, 40);
-        let narrowing = narrowing(&state, &mut rng, 0.0);
+        let pruning = pruning(&state, &mut rng, 0.0);
         let parameters = NetworkLayout::new(FROM).parameters;
         let networks = [(); 3].map(|()| random(&mut rng, parameters));
-        let [narrow, first, second] = narrowing.networks(networks.clone());
-        assert!([&first, &second].iter().all(|moments| moments.len() == narrow.len()));
-        let (old, new) = (NetworkLayout::new(FROM).hidden, NetworkLayout::new(narrowing.shape()).hidden);
+        let [pruned, first, second] = pruning.networks(networks.clone());
+        assert!([&first, &second].iter().all(|moments| moments.len() == pruned.len()));
+        let (old, new) = (NetworkLayout::new(FROM).hidden, NetworkLayout::new(pruning.shape()).hidden);
         let of_view = 6 * old.outputs;
         assert!(first[new.weights..][..of_view].iter().all(|moment| *moment == 0.0), "no momentum");
         assert_eq!(first[new.weights + of_view..new.bias], networks[1][old.weights + of_view..old.bias]);
-        let after = narrowing.anchors(state.clone());
+        let after = pruning.anchors(state.clone());
         assert!(after.first.chunks_exact(12 + 6).all(|row| row[..6] == [0.0; 6]), "no momentum");
         assert_eq!(after.first[6..12], state.first[6..12]);
-        let shape = narrowing.shape();
+        let shape = pruning.shape();
         assert_eq!((shape, after.anchors.shape), (ModelShape { features: 6, hidden: 6, offsets: 2 }, shape));
         for anchor in 0..40 {
             let (before, after) = (state.anchors.row(anchor), after.anchors.row(anchor));
             assert_eq!(before[6..12], after[6..12], "scalings");
             assert_eq!([&before[12..15], &before[21..24]].concat(), after[12..], "offsets of slots 0 and 3");
             let old = outputs(FROM, &networks[0], &before[..6]);
-            let new = outputs(shape, &narrow, &after[..6]);
+            let new = outputs(shape, &pruned, &after[..6]);
             let kept = [0, 3, 4, 10, 25, 31, 32, 34, 41, 43];
             let at = [0, 1, 2, 8, 9, 15, 16, 18, 19, 21];
             for (old_row, new_row) in kept.into_iter().zip(at) {
@@ -245,15 +245,15 @@ mod tests {
     fn masks_logits_and_statistics_stay_with_their_slots() {
         let mut rng = Pcg64::seed_from_u64(2);
         let state = state(&mut rng, 17);
-        let narrowing = narrowing(&state, &mut rng, 0.0);
-        let after = narrowing.anchors(state);
+        let pruning = pruning(&state, &mut rng, 0.0);
+        let after = pruning.anchors(state);
         assert_eq!(after.anchors.masks[..10], [0, 1, 0, 1, 0, 1, 0, 1, 2, 3]);
         let masks = after.masks.expect("masks learn");
         assert_eq!(masks.logits[..4], [0.0, 3.0, 4.0, 7.0]);
         assert_eq!((masks.first[1], masks.second[2]), (103.0, 204.0));
         let width = Statistics::width(FROM);
         let values = (0..2 * width).map(|i| i as f32).collect();
-        let statistics = narrowing.statistics(&Statistics { shape: FROM, values });
+        let statistics = pruning.statistics(&Statistics { shape: FROM, values });
         assert_eq!(statistics.values[..6], [0.0, 3.0, 4.0, 7.0, 8.0, 9.0]);
         assert_eq!(statistics.values.len(), 12);
     }
