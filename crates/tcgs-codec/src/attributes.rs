@@ -129,10 +129,10 @@ impl AttributeLayout {
         let mut parameters = [0..0, 0..0, 0..0];
         for attribute in Attribute::ALL {
             let start = reader.position();
-            if kinds[attribute as usize].is_none() {
-                tables[attribute as usize] = Some(read_tables(&mut reader, shape.channels(attribute))?);
+            if attribute.of(&kinds).is_none() {
+                *attribute.of_mut(&mut tables) = Some(read_tables(&mut reader, shape.channels(attribute))?);
             }
-            parameters[attribute as usize] = start..reader.position();
+            *attribute.of_mut(&mut parameters) = start..reader.position();
         }
         let index_start = reader.position();
         let count = shape.anchors.div_ceil(chunk_anchors);
@@ -177,8 +177,8 @@ impl AttributeLayout {
         let mut symbols = [Vec::new(), Vec::new(), Vec::new()];
         let mut steps = [Vec::new(), Vec::new(), Vec::new()];
         for attribute in Attribute::ALL {
-            symbols[attribute as usize] = zeros("attributes", shape.anchors * shape.channels(attribute))?;
-            steps[attribute as usize] = zeros("steps", shape.anchors)?;
+            *attribute.of_mut(&mut symbols) = zeros("attributes", shape.anchors * shape.channels(attribute))?;
+            *attribute.of_mut(&mut steps) = zeros("steps", shape.anchors)?;
         }
         let mut chunks: Vec<ChunkTask<'_>> = self
             .chunks
@@ -225,10 +225,10 @@ impl ChunkTask<'_> {
             return Err(DecodeError::ChunkChecksum { chunk: self.number, stated: *checksum, actual });
         }
         for (attribute, symbols, steps) in self.groups {
-            let part = STREAMS[attribute as usize];
+            let part = attribute.of(&STREAMS);
             let channels = shape.channels(attribute);
-            let mut stream = StreamDecoder::new(part, &section[streams[attribute as usize].clone()])?;
-            let mut predictions = models[attribute as usize].predictions(context);
+            let mut stream = StreamDecoder::new(part, &section[attribute.of(streams).clone()])?;
+            let mut predictions = attribute.of(&models).predictions(context);
             for ((anchor, row), step_index) in
                 anchors.clone().zip(symbols.chunks_exact_mut(channels)).zip(steps)
             {

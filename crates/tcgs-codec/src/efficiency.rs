@@ -88,7 +88,7 @@ pub fn efficiency(
     Ok(Efficiency {
         bytes: [counts.features, counts.scalings, counts.offsets],
         table_bits: Attribute::ALL
-            .map(|attribute| by_tables(&content, attribute, &content.models[attribute as usize])),
+            .map(|attribute| by_tables(&content, attribute, attribute.of(&content.models))),
         network_bits,
     })
 }
@@ -101,7 +101,7 @@ fn coded(
 ) -> impl Iterator<Item = (usize, i32)> {
     let shape = content.manifest.shape();
     let channels = shape.channels(attribute);
-    let row = &content.symbols.groups[attribute as usize][anchor * channels..(anchor + 1) * channels];
+    let row = &attribute.of(&content.symbols.groups)[anchor * channels..(anchor + 1) * channels];
     let masks = &content.symbols.masks;
     let symbols = row.iter().copied().enumerate();
     symbols.filter(move |(channel, _)| is_coded(masks, shape, anchor, attribute, *channel))
@@ -116,7 +116,7 @@ fn by_tables(content: &DecodedSections, attribute: Attribute, model: &GroupModel
             || model.predictions(&content.anchors),
             |predictions, anchor| {
                 predictions.begin(anchor);
-                let row = &content.symbols.groups[attribute as usize][anchor * channels..][..channels];
+                let row = &attribute.of(&content.symbols.groups)[anchor * channels..][..channels];
                 let cost = |(channel, symbol): (usize, &i32)| {
                     let coded = is_coded(&content.symbols.masks, shape, anchor, attribute, channel);
                     let bits = if coded { predictions.next(channel).cost(*symbol) } else { 0.0 };
@@ -143,8 +143,7 @@ fn by_floats(
         .into_par_iter()
         .map(|anchor| {
             let outputs = anchors.outputs(mlp, kind, anchor);
-            let step =
-                f64::from(quant_steps::factor(content.symbols.step_indices[attribute as usize][anchor]));
+            let step = f64::from(quant_steps::factor(attribute.of(&content.symbols.step_indices)[anchor]));
             let bits = |(channel, symbol): (usize, i32)| {
                 let mean = outputs[channel] / step;
                 let sigma = libm::exp2(outputs[channels + channel]) / step;

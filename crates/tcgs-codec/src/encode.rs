@@ -72,12 +72,12 @@ pub fn encode(
     let chosen = chosen?;
     manifest.contexts = chosen.contexts;
     let attributes = attributes::encode(chosen.groups.each_ref());
-    let [features, scalings, offsets] = chosen.groups.map(|group| (group.symbols, group.step_indices));
+    let [features, scalings, offsets] = chosen.groups;
     let symbols = Symbols {
         cells,
         masks,
-        groups: [features.0, scalings.0, offsets.0],
-        step_indices: [features.1, scalings.1, offsets.1],
+        groups: [features.symbols, scalings.symbols, offsets.symbols],
+        step_indices: [features.step_indices, scalings.step_indices, offsets.step_indices],
     };
     let expected = quantize::dequantize(symbols, &networks, &manifest);
     manifest.decode_sha256 = decode_digest(&expected);

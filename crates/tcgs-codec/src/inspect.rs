@@ -207,7 +207,7 @@ fn map_section(section: &Section<'_>, manifest: &Manifest, map: &mut Map) -> Res
             let (shape, kinds) = (manifest.shape(), manifest.kinds());
             let layout = AttributeLayout::read(section.bytes, shape, manifest.chunk_anchors, kinds)?;
             for attribute in Attribute::ALL {
-                let place = &layout.parameters[attribute as usize];
+                let place = attribute.of(&layout.parameters);
                 if !place.is_empty() {
                     map.push(place.len(), group(attribute), "step, means and scales of the channels");
                 }
@@ -217,7 +217,7 @@ fn map_section(section: &Section<'_>, manifest: &Manifest, map: &mut Map) -> Res
                 for attribute in Attribute::ALL {
                     let Range { start, end } = chunk.anchors;
                     let what = format!("chunk {number}, anchors {start}..{end}");
-                    map.push(chunk.streams[attribute as usize].len(), group(attribute), &what);
+                    map.push(attribute.of(&chunk.streams).len(), group(attribute), &what);
                 }
             }
         }

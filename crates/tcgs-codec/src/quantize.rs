@@ -91,8 +91,7 @@ pub(super) fn dequantize(symbols: Symbols, networks: &QuantizedNetworks, manifes
     let _stage = tracing::debug_span!("dequantize").entered();
     let shape = manifest.shape();
     let [features, scalings, offsets] = Attribute::ALL.map(|attribute| {
-        let (integers, steps) =
-            (&symbols.groups[attribute as usize], &symbols.step_indices[attribute as usize]);
+        let (integers, steps) = (attribute.of(&symbols.groups), attribute.of(&symbols.step_indices));
         let base = manifest.steps.of(attribute);
         let channels = shape.channels(attribute);
         let mut values = vec![0.0; integers.len()];

@@ -214,7 +214,7 @@ impl<'a> Search<'a> {
             problem: format!("{weight_bits} bits a weight"),
         })?;
         let mut mlp = IntegerMlp::quantize(mlp, bits);
-        mlp.shift_last_output(quant_steps::index_as_octaves(self.settings.coarser[attribute as usize]));
+        mlp.shift_last_output(quant_steps::index_as_octaves(*attribute.of(&self.settings.coarser)));
         Ok(ContextNetwork { kind, mlp })
     }
 
@@ -246,20 +246,20 @@ impl<'a> Search<'a> {
     fn cheapest(&mut self) -> Result<Chosen, EncodeError> {
         let mut tried: [Vec<CodedCandidate>; 3] = Default::default();
         for attribute in Attribute::ALL {
-            let group = attribute as usize;
-            tried[group].push(self.with_tables(attribute)?);
-            let mlp = self.candidates.position[group].as_ref();
+            let tried = attribute.of_mut(&mut tried);
+            tried.push(self.with_tables(attribute)?);
+            let mlp = attribute.of(&self.candidates.position).as_ref();
             if let Some(found) = self.best_width(attribute, mlp, ContextKind::Position)? {
-                self.try_network(attribute, found, &mut tried[group])?;
+                self.try_network(attribute, found, tried)?;
             }
         }
         let without = std::array::from_fn(|group| fewest_bytes(&tried[group], Scope::NoPlanes));
         let mut planes = None;
-        if let Some((number, section, found)) = self.best_planes(without)? {
+        if let Some(PlanesEstimate { number, section, networks }) = self.best_planes(without)? {
             self.sample(number);
-            for (attribute, found) in Attribute::ALL.into_iter().zip(found) {
+            for (attribute, found) in Attribute::ALL.into_iter().zip(networks) {
                 for estimated in found {
-                    self.try_network(attribute, estimated, &mut tried[attribute as usize])?;
+                    self.try_network(attribute, estimated, attribute.of_mut(&mut tried))?;
                 }
             }
             planes = Some((number, section));
@@ -306,34 +306,31 @@ impl<'a> Search<'a> {
         }
     }
 
-    /// The planes with the lowest estimate, if any group could gain from them: their number, section, and networks.
-    #[allow(clippy::type_complexity, reason = "named by its parts in the line above")]
-    fn best_planes(
-        &mut self,
-        without: [u64; 3],
-    ) -> Result<Option<(usize, Vec<u8>, [Vec<Estimated>; 3])>, EncodeError> {
+    /// The planes with the lowest estimate, if any group could gain from them.
+    fn best_planes(&mut self, without: [u64; 3]) -> Result<Option<PlanesEstimate>, EncodeError> {
         let mut best = None;
         let mut least_total = u64::MAX;
         let candidates = self.candidates;
         for (number, set) in candidates.planes.iter().enumerate() {
             let section = IntegerPlanes::quantize(&set.planes).encode();
             self.sample(number);
-            let mut found: [Vec<Estimated>; 3] = Default::default();
+            let mut networks: [Vec<Estimated>; 3] = Default::default();
             let mut total = section.len() as u64;
             for attribute in Attribute::ALL {
-                let group = attribute as usize;
                 let kinds = [
-                    (set.own[group].as_ref(), ContextKind::TriPlane),
-                    (set.neighbors[group].as_ref(), ContextKind::TriPlaneKnn),
+                    (attribute.of(&set.own).as_ref(), ContextKind::TriPlane),
+                    (attribute.of(&set.neighbors).as_ref(), ContextKind::TriPlaneKnn),
                 ];
+                let estimated = attribute.of_mut(&mut networks);
                 for (mlp, kind) in kinds {
-                    found[group].extend(self.best_width(attribute, mlp, kind)?);
+                    estimated.extend(self.best_width(attribute, mlp, kind)?);
                 }
-                total += found[group].iter().map(|found| found.bytes).fold(without[group], u64::min);
+                total +=
+                    estimated.iter().map(|network| network.bytes).fold(*attribute.of(&without), u64::min);
             }
             if total < least_total {
                 least_total = total;
-                best = Some((number, section, found));
+                best = Some(PlanesEstimate { number, section, networks });
             }
         }
         Ok(best)
@@ -439,6 +436,15 @@ impl Scope {
             GroupChoice::Network { .. } => self == Scope::All,
         }
     }
+}
+
+/// Planes that may be chosen.
+struct PlanesEstimate {
+    /// Among the candidates.
+    number: usize,
+    section: Vec<u8>,
+    /// Networks of each group that use them.
+    networks: [Vec<Estimated>; 3],
 }
 
 /// Bytes of the cheapest candidate in scope.

@@ -24,7 +24,7 @@ pub fn stored_steps(bytes: &[u8], limits: &DecodeLimits) -> Result<StoredSteps> 
     let content = read(bytes, limits)?;
     let steps = Attribute::ALL.map(|attribute| {
         let base = content.manifest.steps.of(attribute);
-        content.symbols.step_indices[attribute as usize].iter().map(|index| base * factor(*index)).collect()
+        attribute.of(&content.symbols.step_indices).iter().map(|index| base * factor(*index)).collect()
     });
     Ok(StoredSteps { cells: content.symbols.cells, steps })
 }

@@ -42,6 +42,17 @@ impl AttributeGroup {
     /// Every group, in the order of a file.
     pub const ALL: [Self; 3] = [Self::Features, Self::Scalings, Self::Offsets];
 
+    /// This group's element of an array that has one for each group, in the order of a file.
+    #[must_use]
+    pub fn of<T>(self, groups: &[T; 3]) -> &T {
+        &groups[self as usize]
+    }
+
+    /// The same, to change it.
+    pub fn of_mut<T>(self, groups: &mut [T; 3]) -> &mut T {
+        &mut groups[self as usize]
+    }
+
     /// Outputs of this group's network: a mean for each channel, a base-2 logarithm of a standard deviation for each, then one
     /// step adjustment.
     #[must_use]

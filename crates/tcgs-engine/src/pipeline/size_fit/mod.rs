@@ -240,8 +240,7 @@ impl Files<'_, '_> {
         let limit = self.target.limit;
         let Some(before) = candidate.point.checked_sub(1) else { return Ok(None) };
         let [from, to] = [before, candidate.point].map(|point| self.coarser(point));
-        let Some(group) =
-            AttributeGroup::ALL.into_iter().find(|group| from[*group as usize] != to[*group as usize])
+        let Some(group) = AttributeGroup::ALL.into_iter().find(|group| group.of(&from) != group.of(&to))
         else {
             return Ok(None);
         };
@@ -261,7 +260,8 @@ impl Files<'_, '_> {
         let quality = self.psnr(&file.scene)?;
         let share = finer as f64 / blend.anchors() as f64;
         let mut coarser = to.map(f64::from);
-        coarser[group as usize] += share * (f64::from(from[group as usize]) - coarser[group as usize]);
+        let of_group = group.of_mut(&mut coarser);
+        *of_group += share * (f64::from(*group.of(&from)) - *of_group);
         let bytes = file.bytes.len();
         tracing::debug!(?candidate, ?group, share, bytes, quality, "the most important anchors finer");
         Ok(Some((file, quality, coarser)))
