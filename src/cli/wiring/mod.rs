@@ -1,7 +1,4 @@
-//! Connects the commands to codec, training, rendering, evaluation and service.
-//!
-//! Commands call only the functions below, so an engine can be replaced here without a change to any command. Errors are
-//! [`Problem`]s.
+//! Codec, training, rendering, evaluation and service as commands use them: errors are [`Problem`]s that name the file in question.
 
 mod first_key;
 mod keys;
@@ -55,7 +52,7 @@ pub(crate) const OFFSET_STEP: f32 = 0.2;
 
 pub(crate) use tcgs::pipeline::{
     exported::{Baking, Packing, Place, Quality, compare, export},
-    scene_file::SceneFile,
+    scene_file::{SceneFile, read},
     scene_views::SceneViews,
 };
 
@@ -143,11 +140,6 @@ pub(crate) fn encode(scene: &AnchorScene, settings: &EncodeSettings) -> Result<E
         }
         _ => Problem::new(ProblemType::NotEncodable, error.to_string()),
     })
-}
-
-/// Reads a finished scene of any kind of file.
-pub(crate) fn read(bytes: &[u8]) -> Result<SceneFile, Problem> {
-    scene_file::read(bytes)
 }
 
 /// The bytes of a safetensors file with the anchors of `file`.
