@@ -35,8 +35,7 @@ demo: setup ## the bundled scene through the service: train, download, render in
 
 # The runs of benches/$(1).toml, reported into out/$(1) and docs/$(2).md.
 define report
-@target="$${CARGO_TARGET_DIR:-target}"; "$$target/release/tcgs" bench report --suite "$(DATA)" --matrix benches/$(1).toml --output out/$(1) --table docs/$(2).md $(REPORT_FLAGS)
-@scripts/plots.py
+@target="$${CARGO_TARGET_DIR:-target}"; "$$target/release/tcgs" bench report --suite "$(DATA)" --matrix benches/$(1).toml --output out/$(1) --table docs/$(2).md --figure docs/img/$(1).svg $(REPORT_FLAGS)
 endef
 
 results: build ## make the runs of benches/report.toml on the sets of DATA, report speed against error into out/report and rewrite docs/RESULTS.md; hours on a CPU

@@ -8,7 +8,6 @@ pub(crate) mod examples;
 mod hardware;
 mod links;
 mod manifests;
-mod plots;
 mod problems;
 mod retired_words;
 mod sentences;

@@ -10,8 +10,9 @@ const LEFT: f64 = 58.0;
 const RIGHT: f64 = 16.0;
 const TOP: f64 = 12.0;
 const BOTTOM: f64 = 46.0;
-/// Height of a line of the legend in a picture that stands alone, and of its title.
+/// Height of a line of the legend in a picture that stands alone, and of a chart's title.
 const LEGEND_LINE: f64 = 18.0;
+const TITLE: f64 = 26.0;
 /// Points of a line; more would not be visible.
 const MOST_POINTS: usize = 400;
 
@@ -68,10 +69,11 @@ impl Chart {
                 @if self.is_empty() {
                     p.none { "There are no figures for this curve." }
                 } @else {
-                    svg viewBox=(format!("0 0 {WIDTH} {HEIGHT}")) role="img" aria-label=(self.description()) { (self.content()) }
+                    @let names = names(&[self]);
+                    svg viewBox=(format!("0 0 {WIDTH} {HEIGHT}")) role="img" aria-label=(self.description()) { (self.content(&names)) }
                     p.legend {
-                        @for (style, name) in self.legend() {
-                            span.{"key s" (style)} {} " " (name) " "
+                        @for (number, name) in names.iter().enumerate() {
+                            span.{"key s" (number % SERIES_STYLES)} {} " " (name) " "
                         }
                     }
                 }
@@ -86,25 +88,41 @@ impl Chart {
         if self.is_empty() {
             return None;
         }
-        let legend = self.legend();
-        let top = 26.0;
-        let height = top + HEIGHT + LEGEND_LINE * legend.len() as f64 + 8.0;
+        let names = names(&[self]);
+        let top = TITLE + HEIGHT + 8.0;
+        let size = [WIDTH, top + LEGEND_LINE * names.len() as f64];
+        let title = format!("{}: {}", self.title, self.description());
+        Some(file(&title, size, html! { (self.titled(&names)) (legend(&names, LEFT, top)) }))
+    }
+
+    /// Charts in two columns as one SVG file with its own colors, title and legend, in which equal names of series have one style;
+    /// `None` if there is nothing to draw.
+    #[must_use]
+    pub fn sheet(title: &str, charts: &[&Self]) -> Option<String> {
+        let charts: Vec<&Self> = charts.iter().copied().filter(|chart| !chart.is_empty()).collect();
+        let names = names(&charts);
+        let row = TITLE + HEIGHT;
+        let place = |number: usize| (WIDTH * (number % 2) as f64, row * (number / 2) as f64);
+        // Beside the last chart of an odd number, else below.
+        let (left, top) = place(charts.len());
+        let bottom = top + 32.0 + LEGEND_LINE * names.len() as f64;
+        let size = [2.0 * WIDTH, bottom.max(row * charts.len().div_ceil(2) as f64)];
         let picture = html! {
-            svg xmlns="http://www.w3.org/2000/svg" width=(WIDTH) height=(height)
-                viewBox=(format!("0 0 {WIDTH} {height}")) role="img" {
-                title { (self.title) ": " (self.description()) }
-                style { (PreEscaped(STANDALONE_STYLE)) }
-                rect.page width=(WIDTH) height=(height) {}
-                text.name x="12" y="18" { (self.title) }
-                g transform=(format!("translate(0 {top})")) { (self.content()) }
-                @for (line, (style, name)) in legend.into_iter().enumerate() {
-                    @let y = top + HEIGHT + LEGEND_LINE * line as f64 + 8.0;
-                    circle.{"dot s" (style)} cx=(LEFT + 4.0) cy=(y - 4.0) r="4" {}
-                    text x=(LEFT + 14.0) y=(y) { (name) }
-                }
+            @for (number, chart) in charts.iter().enumerate() {
+                @let (x, y) = place(number);
+                g transform=(format!("translate({x} {y})")) { (chart.titled(&names)) }
             }
+            (legend(&names, left + LEFT, top + 32.0))
         };
-        Some(picture.into_string() + "\n")
+        (!charts.is_empty()).then(|| file(title, size, picture))
+    }
+
+    /// The chart below its title.
+    fn titled(&self, names: &[&str]) -> Markup {
+        html! {
+            text.name x="12" y="18" { (self.title) }
+            g transform=(format!("translate(0 {TITLE})")) { (self.content(names)) }
+        }
     }
 
     fn description(&self) -> String {
@@ -115,26 +133,10 @@ impl Chart {
         self.all().next().is_none()
     }
 
-    /// The names of what is drawn with their styles.
-    fn legend(&self) -> Vec<(usize, &str)> {
-        let mut names: Vec<(usize, &str)> = Vec::new();
-        for (style, series) in self.drawn() {
-            if !names.iter().any(|(_, name)| *name == series.name) {
-                names.push((style, &series.name));
-            }
-        }
-        names
-    }
-
-    /// The series with a point on the axes, each with its style, which follows its name.
-    fn drawn(&self) -> impl Iterator<Item = (usize, &Series)> {
-        let mut names: Vec<&str> = Vec::new();
-        self.series.iter().filter_map(move |series| {
-            let known = names.iter().position(|name| *name == series.name);
-            let style = known.unwrap_or_else(|| {
-                names.push(&series.name);
-                names.len() - 1
-            });
+    /// The series with a point on the axes, each with its style, which is the place of its name among `names`.
+    fn drawn<'a>(&'a self, names: &'a [&str]) -> impl Iterator<Item = (usize, &'a Series)> + 'a {
+        self.series.iter().filter_map(|series| {
+            let style = names.iter().position(|name| *name == series.name)?;
             self.shown(series).next().map(|_| (style % SERIES_STYLES, series))
         })
     }
@@ -159,7 +161,7 @@ impl Chart {
         })
     }
 
-    fn content(&self) -> Markup {
+    fn content(&self, names: &[&str]) -> Markup {
         let across = Axis::of(self.x_scale, self.all().map(|(x, _)| x), LEFT, WIDTH - RIGHT);
         let up = Axis::of(self.y_scale, self.heights(), HEIGHT - BOTTOM, TOP);
         let place = |(x, y): (f64, f64)| format!("{:.1},{:.1}", across.place(x), up.place(y));
@@ -177,7 +179,7 @@ impl Chart {
             text.axis x=((LEFT + WIDTH - RIGHT) / 2.0) y=(HEIGHT - 6.0) text-anchor="middle" { (self.x) }
             text.axis x="14" y=((TOP + HEIGHT - BOTTOM) / 2.0) text-anchor="middle"
                 transform=(format!("rotate(-90 14 {})", (TOP + HEIGHT - BOTTOM) / 2.0)) { (self.y) }
-            @for (style, series) in self.drawn() {
+            @for (style, series) in self.drawn(names) {
                 @let points: Vec<(usize, (f64, f64))> = self.shown(series).collect();
                 @if points.len() > 1 && !series.is_scattered {
                     polyline.{"line s" (style)} points=(thinned(&points).map(place).collect::<Vec<_>>().join(" ")) {}
@@ -203,6 +205,44 @@ impl Chart {
             }
         }
     }
+}
+
+/// The names of the series that charts draw, once each, in the order in which they first appear.
+fn names<'a>(charts: &[&'a Chart]) -> Vec<&'a str> {
+    let mut names: Vec<&str> = Vec::new();
+    for chart in charts {
+        for series in chart.series.iter().filter(|series| chart.shown(series).next().is_some()) {
+            if !names.contains(&series.name.as_str()) {
+                names.push(&series.name);
+            }
+        }
+    }
+    names
+}
+
+/// A line for each name, the first one at `top`.
+fn legend(names: &[&str], left: f64, top: f64) -> Markup {
+    html! {
+        @for (number, name) in names.iter().enumerate() {
+            @let y = top + LEGEND_LINE * number as f64;
+            circle.{"dot s" (number % SERIES_STYLES)} cx=(left + 4.0) cy=(y - 4.0) r="4" {}
+            text x=(left + 14.0) y=(y) { (name) }
+        }
+    }
+}
+
+/// An SVG file with its own colors.
+fn file(title: &str, [width, height]: [f64; 2], content: Markup) -> String {
+    let picture = html! {
+        svg xmlns="http://www.w3.org/2000/svg" width=(width) height=(height)
+            viewBox=(format!("0 0 {width} {height}")) role="img" {
+            title { (title) }
+            style { (PreEscaped(STANDALONE_STYLE)) }
+            rect.page width=(width) height=(height) {}
+            (content)
+        }
+    };
+    picture.into_string() + "\n"
 }
 
 /// A point's figure in words: two decimals, or three digits if it is small.
@@ -274,6 +314,18 @@ mod tests {
         // Two points and one key for each name.
         assert_eq!(picture.matches("class=\"dot s1\"").count(), 3);
         assert_eq!(picture.matches("class=\"dot s0\"").count(), 1);
+    }
+
+    #[test]
+    fn charts_of_a_sheet_share_styles_and_one_legend() {
+        let line = |name| series(name, vec![(1.0, 1.0), (3.0, 2.0)]);
+        let (first, second) = (chart(vec![line("a"), line("b")]), chart(vec![line("c"), line("b")]));
+        let sheet = Chart::sheet("several", &[&first, &second, &chart(Vec::new())]).expect("a picture");
+        assert_eq!(sheet.matches("class=\"line s1\"").count(), 2, "b is the second in both");
+        assert_eq!(sheet.matches("class=\"line s2\"").count(), 1);
+        assert_eq!(sheet.matches("<circle").count(), 3, "keys of a, b and c");
+        assert!(sheet.contains("<title>several</title>") && sheet.contains("translate(440 0)"), "{sheet}");
+        assert_eq!(Chart::sheet("none", &[&chart(Vec::new())]), None);
     }
 
     #[test]

@@ -30,6 +30,12 @@ pub struct Plots {
 }
 
 impl Plots {
+    /// PSNR against size of every set in one picture; `None` without runs.
+    pub fn quality(&self) -> Option<String> {
+        let charts: Vec<&Chart> = self.bytes.iter().map(|plot| &plot.chart).collect();
+        Chart::sheet("PSNR of held-out views against the size of the file, by set", &charts)
+    }
+
     pub fn all(&self) -> impl Iterator<Item = &Plot> {
         [&self.time, &self.bytes, &self.decoding, &self.rendering].into_iter().flatten()
     }

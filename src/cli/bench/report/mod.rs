@@ -59,6 +59,10 @@ pub(crate) struct Args {
     #[arg(long, value_name = "FILE.md")]
     table: Option<PathBuf>,
 
+    /// Picture to write: PSNR against size of every set
+    #[arg(long, value_name = "FILE.svg")]
+    figure: Option<PathBuf>,
+
     /// The runs.jsonl of other reports; runs found there are not made again
     #[arg(long, value_name = "FILE.jsonl", value_delimiter = ',')]
     import: Vec<PathBuf>,
@@ -184,6 +188,9 @@ impl Document<'_> {
         write("report.html", page::html(&introduction, &sections))?;
         if let Some(document) = &self.args.table {
             files::write(document, place(document, &tables)?.as_bytes())?;
+        }
+        if let (Some(file), Some(picture)) = (&self.args.figure, plots.quality()) {
+            files::write(file, picture.as_bytes())?;
         }
         write("report.md", tables)?;
         write("runs.csv", csv::runs(records))?;
