@@ -19,7 +19,7 @@ FUZZ_SECONDS ?= 600
 KILLS ?= 105
 SOAK_TESTS ?= system::soak system::crash_points system::io_faults system::reordered bucket_faults
 
-.PHONY: help setup build demo results long-results gate test examples schemathesis generated-client container-smoke manifests swiftshader validation interop external-formats gpu-kit hardware-report fuzz soak lint clean
+.PHONY: help setup build demo poses results long-results gate test examples schemathesis generated-client container-smoke manifests swiftshader validation interop external-formats gpu-kit hardware-report fuzz soak lint clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## /  make \1\t/p' Makefile | expand -t 16
@@ -32,6 +32,9 @@ build: setup ## build target/release/tcgs
 
 demo: setup ## the bundled scene through the service: train, download, render into out/demo
 	@scripts/demo.sh
+
+poses: setup ## install pycolmap, through PyPI, with which `tcgs poses` finds the cameras of photographs
+	@scripts/poses.sh
 
 # The runs of benches/$(1).toml, reported into out/$(1) and docs/$(2).md.
 define report

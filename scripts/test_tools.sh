@@ -17,6 +17,11 @@ if [ -z "${TCGS_SPLAT_TRANSFORM:-}" ] && TCGS_SPLAT_TRANSFORM=$(scripts/splat_tr
 elif [ -z "${TCGS_SPLAT_TRANSFORM:-}" ]; then
     lacks_test_tool splat-transform
 fi
+if [ -z "${TCGS_POSES_PYTHON:-}" ] && TCGS_POSES_PYTHON=$(scripts/poses.sh --where); then
+    export TCGS_POSES_PYTHON
+elif [ -z "${TCGS_POSES_PYTHON:-}" ]; then
+    lacks_test_tool pycolmap
+fi
 if [ -z "${TCGS_S3_SERVER:-}" ] && TCGS_S3_SERVER=$(scripts/s3_server.sh); then
     export TCGS_S3_SERVER
 elif [ -z "${TCGS_S3_SERVER:-}" ]; then

@@ -18,5 +18,5 @@ pub mod webhooks;
 pub mod worker;
 
 pub use tcgs_codec as codec;
-pub use tcgs_engine::{eval, export, ingest, init, picture, pipeline, plot, ply, sample, train};
+pub use tcgs_engine::{eval, export, ingest, init, picture, pipeline, plot, ply, poses, sample, train};
 pub use tcgs_render::{self as render, gpu, model};

@@ -34,6 +34,7 @@ mod picture;
 #[cfg(debug_assertions)]
 mod planned_failure;
 mod pose;
+mod poses;
 mod priority;
 mod profile;
 mod progress;
@@ -83,6 +84,8 @@ enum Command {
     Worker(worker::Args),
     /// Render views and exports for API replicas that share a database and blobs
     Viewer(viewer::Args),
+    /// Find the cameras of photographs and make a dataset of them
+    Poses(poses::Args),
     /// Check a dataset and show what it holds
     Check(check::Args),
     /// Train a scene from a dataset and write it as one compressed file
@@ -139,6 +142,7 @@ impl Command {
     /// Whether the answer is to be one JSON document.
     fn wants_json(&self) -> bool {
         match self {
+            Command::Poses(args) => args.json,
             Command::Check(args) => args.json,
             Command::Train(args) => args.json,
             Command::Decode(args) => args.json,
@@ -189,6 +193,7 @@ impl Command {
             Command::Serve(args) => serve::run(*args, log_format),
             Command::Worker(args) => worker::run(args),
             Command::Viewer(args) => viewer::run(args),
+            Command::Poses(args) => poses::run(&args),
             Command::Check(args) => check::run(&args),
             Command::Train(args) => train::run(&args),
             Command::Encode(args) => encode::run(&args),

@@ -1,22 +1,37 @@
 //! `tcgs train`: trains a scene from a dataset, writes its file and reports its metrics.
 
-use std::path::{Path, PathBuf};
+use std::{
+    env,
+    path::{Path, PathBuf},
+};
 
 use serde_json::{Value, json};
 use tcgs::{
     domain::{CurvePoint, JobMetrics, Phase, SceneFormat},
+    ingest,
     pipeline::{CheckpointPlan, JobError, Resume, RunJob as _},
 };
+use tempfile::TempDir;
 
 use super::{
-    CliError, Report, adapter::AdapterFlag, files, lpips::LpipsFlag, memory::MemoryFlags,
-    options::TrainFlags, profile, progress::Display, signals::Interruption, wiring,
+    CliError, Report,
+    adapter::AdapterFlag,
+    files,
+    lpips::LpipsFlag,
+    memory::MemoryFlags,
+    notice::notice,
+    options::TrainFlags,
+    poses::{self, Search},
+    profile,
+    progress::Display,
+    signals::Interruption,
+    wiring,
 };
 
 /// Arguments of `tcgs train`.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
-    /// Folder or zip: Blender, nerfstudio or COLMAP layout
+    /// Folder or zip: Blender, nerfstudio or COLMAP layout; or a folder of photographs, whose cameras are found first
     dataset: PathBuf,
 
     /// The file to write: .tcgs; for the models scaffold .safetensors, 3dgs .ply. With --rd-curve it is the file of the first
@@ -67,11 +82,13 @@ pub(crate) fn run(args: &Args) -> Result<Report, CliError> {
     let runner =
         wiring::runner(&args.adapter.adapter, memory, std::env::temp_dir(), lpips).with_profile(args.profile);
     let interruption = Interruption::listen();
+    let posed = with_cameras(args, &interruption)?;
+    let dataset = posed.as_ref().map_or(&args.dataset, |(_, dataset)| dataset);
 
     let mut display = Display::new();
     let mut reached = Phase::Ingest;
     let outcome = runner.run(
-        &args.dataset,
+        dataset,
         &options,
         &checkpoints,
         &mut |phase, progress| {
@@ -108,6 +125,22 @@ pub(crate) fn run(args: &Args) -> Result<Report, CliError> {
         }
     }
     Ok(report)
+}
+
+/// A dataset of the photographs, in a temporary folder that is kept with it, where the folder has no cameras.
+fn with_cameras(args: &Args, interruption: &Interruption) -> Result<Option<(TempDir, PathBuf)>, CliError> {
+    if !ingest::lacks_cameras(&args.dataset) {
+        return Ok(None);
+    }
+    if args.checkpoint.is_some() || args.resume.is_some() {
+        let error = "a run with checkpoints needs a dataset that stays; make it with `tcgs poses` first";
+        return Err(CliError::Usage(error.to_owned()));
+    }
+    notice("the photographs have no cameras, which are found first; `tcgs poses` keeps them");
+    let work = poses::work_folder(&env::temp_dir())?;
+    let (found, dataset) = Search::usual().dataset(&args.dataset, work.path(), interruption)?;
+    notice(poses::text(&found).trim_end());
+    Ok(Some((work, dataset)))
 }
 
 fn report(metrics: &JobMetrics, written: &[PathBuf]) -> Report {

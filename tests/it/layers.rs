@@ -35,6 +35,7 @@ const LAYERS: &[(&str, Layers)] = &[
             ("ply", &[]),
             ("picture", &["domain"]),
             ("plot", &[]),
+            ("poses", &["domain"]),
             ("sample", &["domain"]),
             ("ingest", &["domain", "ply"]),
             ("export", &["domain", "ply"]),

@@ -21,6 +21,8 @@ pub mod plot;
 #[doc(hidden)]
 pub mod ply;
 #[doc(hidden)]
+pub mod poses;
+#[doc(hidden)]
 pub mod sample;
 #[doc(hidden)]
 pub mod train;

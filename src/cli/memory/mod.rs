@@ -24,6 +24,11 @@ pub(crate) struct MemoryFlags {
 }
 
 impl MemoryFlags {
+    /// Main memory as a flag bounds it, for a command without an adapter.
+    pub(crate) fn host(host_memory: Option<Bytes>) -> u64 {
+        Self { host_memory, gpu_memory: None }.limits(1).host
+    }
+
     /// What each of `runs` runs at a time may take.
     pub(crate) fn limits(self, runs: u16) -> MemoryLimits {
         self.limits_of(runs, available)

@@ -13,6 +13,7 @@ mod database;
 mod jobs;
 mod keys;
 mod options;
+mod poses;
 mod priority;
 mod profile;
 mod projects;

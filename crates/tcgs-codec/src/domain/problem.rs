@@ -124,6 +124,13 @@ problem_types! {
     GpuMemory = 507, "gpu-memory", "Not enough memory on the device";
     SceneTooLarge = 422, "scene-too-large", "The scene is too large for the adapter";
     DeadlineExceeded = 504, "deadline-exceeded", "The deadline has passed";
+    TooFewPhotographs = 422, "too-few-photographs", "Too few photographs";
+    FeaturelessPhotographs = 422, "featureless-photographs", "Nothing to recognize in the photographs";
+    NoOverlap = 422, "no-overlap", "The photographs do not overlap";
+    TooFewRegistered = 422, "too-few-registered", "Too few cameras were found";
+    PosesTimedOut = 507, "poses-timed-out", "Cameras were not found in time";
+    PosesFailed = 500, "poses-failed", "The search for cameras failed";
+    PosesUnavailable = 503, "poses-unavailable", "Cameras cannot be found here";
     TrainingFailed = 422, "training-failed", "Training failed";
     MemoryBudget = 507, "memory-budget", "Not enough memory";
     MaxBytesUnreachable = 507, "max-bytes-unreachable", "The file cannot be made so small";

@@ -134,9 +134,13 @@ pub enum IngestErrorKind {
     /// None of the three layouts.
     #[error(
         "no dataset was found: there is no transforms.json, no transforms_train.json and no sparse/0 \
-         with cameras and images (.bin or .txt), neither at the top nor in a single top-level folder"
+         with cameras and images (.bin or .txt), neither at the top nor in a single top-level folder{}",
+        photographs_alone(*photographs)
     )]
-    NoLayout,
+    NoLayout {
+        /// Photographs that are there.
+        photographs: usize,
+    },
     /// A file that the layout needs is not there.
     #[error("the file is missing; {0}")]
     MissingFile(&'static str),
@@ -437,7 +441,7 @@ impl IngestErrorKind {
             | Self::ImageHeader { .. }
             | Self::ImageSize { .. }
             | Self::ImageRotated { .. } => ProblemType::ImageRejected,
-            Self::NoLayout
+            Self::NoLayout { .. }
             | Self::MissingFile(_)
             | Self::MissingImages { .. }
             | Self::NoImages
@@ -475,6 +479,16 @@ pub(super) fn shown(name: &str) -> String {
         text.push('…');
     }
     text
+}
+
+/// Advice where photographs have no cameras.
+fn photographs_alone(photographs: usize) -> String {
+    match photographs {
+        0 => String::new(),
+        _ => format!(
+            ". The cameras of its {photographs} photographs can be found: tcgs poses FOLDER -o DATASET"
+        ),
+    }
 }
 
 fn missing_images(count: usize, listed: usize, first: &[String], hint: Option<&MissingHint>) -> String {

@@ -32,6 +32,7 @@ mod masks;
 mod names;
 mod orientation;
 mod pack;
+mod photographs;
 mod plan;
 mod ply;
 mod points;
@@ -62,6 +63,7 @@ pub use self::{
     error::{IngestError, IngestErrorKind, MissingHint},
     limits::Limits,
     pack::pack,
+    photographs::photographs,
 };
 use self::{
     deadline::Deadline,
@@ -138,6 +140,14 @@ pub fn load_oriented(
 /// As [`load`].
 pub fn check(path: &Path) -> Result<DatasetSummary, Problem> {
     Ok(check_within(path, &Limits::default())?)
+}
+
+/// Whether `path` is a folder of photographs that no file says the cameras of.
+#[must_use]
+pub fn lacks_cameras(path: &Path) -> bool {
+    let checked = path.is_dir().then(|| check_within(path, &Limits::default()));
+    let kind = checked.and_then(Result::err).map(|error| error.kind);
+    matches!(kind, Some(IngestErrorKind::NoLayout { photographs: 1.. }))
 }
 
 /// The cameras of a dataset's frames, in the order of [`Dataset::frames`], checked as [`check`] does.

@@ -169,7 +169,10 @@ pub(super) fn survey(
         None if tree.enter_only_folder() => plan(&tree),
         plan => plan,
     }
-    .ok_or(IngestErrorKind::NoLayout)??;
+    .ok_or_else(|| {
+        let photographs = tree.names().filter(|name| images::is_image_name(name)).count();
+        IngestErrorKind::NoLayout { photographs }
+    })??;
     refuse_masks(&tree, &plan.listed.iter().map(String::as_str).collect())?;
     let Plan { layout, lenses, frames, points, listed, listings, noted, mut notes } = plan;
     let taken = Taken { listed: &listed, noted: &noted, listings: &listings };

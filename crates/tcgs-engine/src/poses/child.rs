@@ -1,0 +1,251 @@
+//! The child process that finds cameras, and the lines of JSON that it answers with.
+
+use std::{
+    env,
+    fs::{self, File},
+    io::{BufRead as _, BufReader, Read as _, Seek as _, SeekFrom},
+    path::{Path, PathBuf},
+    process::{Child, Command, ExitStatus, Stdio},
+    sync::mpsc::{self, Receiver, RecvTimeoutError},
+    thread,
+    time::{Duration, Instant},
+};
+
+use serde::{Deserialize, Serialize};
+
+use super::{MIN_PHOTOGRAPHS, PoseLimits, PoseOptions, PoseProgress, PoseReport, PoseStage, PosesError};
+use crate::domain::CancelFlag;
+
+/// The program that the child runs.
+const SCRIPT: &str = include_str!("estimate_poses.py");
+
+/// How often the caller's wish to stop is looked at.
+const POLL: Duration = Duration::from_millis(100);
+
+/// Most bytes of the child's own messages that an error repeats.
+const MAX_MESSAGE: u64 = 1000;
+
+/// Names of photographs that an error repeats.
+const EXAMPLES: usize = 5;
+
+/// The interpreter to use: `chosen`, else that of the environment which `make poses` makes, else `python3`.
+#[must_use]
+pub fn find_python(chosen: Option<&Path>) -> PathBuf {
+    let data = env::var_os("XDG_DATA_HOME").filter(|path| !path.is_empty()).map(PathBuf::from);
+    let data = data.or_else(|| env::home_dir().map(|home| home.join(".local/share")));
+    let own = data.map(|data| data.join("tcgs/poses/bin/python3")).filter(|path| path.exists());
+    chosen.map(Path::to_owned).or(own).unwrap_or_else(|| PathBuf::from("python3"))
+}
+
+/// Finds cameras with an interpreter, within limits.
+#[derive(Debug, Clone)]
+pub struct PoseEstimator {
+    /// A Python that has pycolmap.
+    pub python: PathBuf,
+    /// What the child may use.
+    pub limits: PoseLimits,
+}
+
+#[derive(Serialize)]
+struct Request<'a> {
+    photographs: &'a Path,
+    names: &'a [String],
+    work: &'a Path,
+    camera_model: String,
+    matching: &'a str,
+    seed: u64,
+    threads: usize,
+    memory_bytes: u64,
+}
+
+/// A line of the child's.
+#[derive(Debug, Deserialize)]
+#[serde(untagged)]
+enum Line {
+    Progress { stage: PoseStage, done: u64, total: u64 },
+    Result { result: Found },
+    Failure { failure: String, detail: String },
+    Program { version: String, network: String },
+}
+
+#[derive(Debug, Deserialize)]
+struct Found {
+    registered: Vec<String>,
+    models: usize,
+    points: u64,
+    cameras: u64,
+    reprojection_error: f64,
+    verified_pairs: u64,
+}
+
+impl PoseEstimator {
+    /// Finds the cameras of the photographs `names` below the folder `photographs`, in this order. `work` is an empty folder, where the
+    /// model and temporary files are written.
+    ///
+    /// # Errors
+    /// Why cameras were not found. If fewer than half of them were, the model is not used.
+    pub fn estimate(
+        &self,
+        photographs: &Path,
+        names: &[String],
+        work: &Path,
+        options: PoseOptions,
+        report: &mut dyn FnMut(PoseProgress),
+        cancel: &CancelFlag,
+    ) -> Result<PoseReport, PosesError> {
+        if names.len() < MIN_PHOTOGRAPHS {
+            return Err(PosesError::TooFew(names.len()));
+        }
+        let io = |what| move |error| PosesError::Io { what, error };
+        let request = Request {
+            photographs: &fs::canonicalize(photographs).map_err(io("cannot find the photographs"))?,
+            names,
+            work: &fs::canonicalize(work).map_err(io("cannot find the folder to work in"))?,
+            camera_model: options.camera_model.colmap_name(),
+            matching: options.matching.name(),
+            seed: options.seed,
+            threads: options.threads,
+            memory_bytes: self.limits.memory_bytes,
+        };
+        let (script, asked) = (work.join("estimate_poses.py"), work.join("request.json"));
+        let text = serde_json::to_vec(&request).expect("a request has string keys and plain values");
+        fs::write(&script, SCRIPT).map_err(io("cannot write the program"))?;
+        fs::write(&asked, text).map_err(io("cannot write the request"))?;
+        let messages = File::create(work.join("messages.txt")).map_err(io("cannot write the messages"))?;
+        let child = Command::new(&self.python)
+            .arg("-I")
+            .args([&script, &asked])
+            .env("OMP_NUM_THREADS", options.threads.to_string())
+            .stdin(Stdio::null())
+            .stdout(Stdio::piped())
+            .stderr(messages)
+            .spawn();
+        let child = child.map_err(|error| PosesError::Unavailable {
+            python: self.python.clone(),
+            detail: error.to_string(),
+        })?;
+        let mut running = Running::new(child);
+        let answer = self.follow(&mut running, report, cancel)?;
+        let status = running.wait().map_err(io("cannot wait for pycolmap"))?;
+        let Some((found, generator, is_network_isolated)) = answer else {
+            let detail = last_words(&work.join("messages.txt"));
+            return Err(PosesError::Died { status: status.to_string(), detail });
+        };
+        let unregistered: Vec<String> =
+            names.iter().filter(|name| found.registered.binary_search(name).is_err()).cloned().collect();
+        if found.registered.len() < MIN_PHOTOGRAPHS || 2 * found.registered.len() < names.len() {
+            return Err(PosesError::TooFewRegistered {
+                registered: found.registered.len(),
+                photographs: names.len(),
+                examples: unregistered[..unregistered.len().min(EXAMPLES)].join(", "),
+            });
+        }
+        Ok(PoseReport {
+            photographs: names.len(),
+            registered: found.registered,
+            unregistered,
+            models: found.models,
+            points: found.points,
+            cameras: found.cameras,
+            reprojection_error: found.reprojection_error,
+            verified_pairs: found.verified_pairs,
+            generator,
+            is_network_isolated,
+            options,
+            model: work.join("sparse/0"),
+        })
+    }
+
+    /// Passes progress on until the child's output ends; what it found, with the program's name and whether it had no network.
+    fn follow(
+        &self,
+        running: &mut Running,
+        report: &mut dyn FnMut(PoseProgress),
+        cancel: &CancelFlag,
+    ) -> Result<Option<(Found, String, bool)>, PosesError> {
+        let end = Instant::now() + self.limits.time;
+        let (mut generator, mut is_isolated, mut found) = ("pycolmap".to_owned(), false, None);
+        loop {
+            if cancel.is_cancelled() {
+                return Err(PosesError::Cancelled);
+            }
+            if Instant::now() >= end {
+                return Err(PosesError::TimedOut(self.limits.time));
+            }
+            let text = match running.lines.recv_timeout(POLL) {
+                Ok(text) => text,
+                Err(RecvTimeoutError::Timeout) => continue,
+                Err(RecvTimeoutError::Disconnected) => break,
+            };
+            match serde_json::from_str(&text) {
+                Ok(Line::Progress { stage, done, total }) => report(PoseProgress { stage, done, total }),
+                Ok(Line::Result { result }) => found = Some(result),
+                Ok(Line::Failure { failure, detail }) => return Err(self.failure(&failure, detail)),
+                Ok(Line::Program { version, network }) => {
+                    generator = format!("pycolmap {version}");
+                    is_isolated = network == "isolated";
+                }
+                // COLMAP's libraries may write there too.
+                Err(_) => tracing::debug!("pycolmap: {text}"),
+            }
+        }
+        Ok(found.map(|found| (found, generator, is_isolated)))
+    }
+
+    fn failure(&self, failure: &str, detail: String) -> PosesError {
+        match failure {
+            "unavailable" => PosesError::Unavailable { python: self.python.clone(), detail },
+            "unreadable" => PosesError::Unreadable(detail),
+            "featureless" => PosesError::Featureless(detail),
+            "no-overlap" => PosesError::NoOverlap(detail),
+            _ => PosesError::Died { status: failure.to_owned(), detail },
+        }
+    }
+}
+
+/// A child that ends with this.
+struct Running {
+    child: Child,
+    lines: Receiver<String>,
+}
+
+impl Running {
+    fn new(mut child: Child) -> Self {
+        let (sender, lines) = mpsc::channel();
+        if let Some(output) = child.stdout.take() {
+            thread::spawn(move || {
+                for line in BufReader::new(output).lines() {
+                    if line.map_or(true, |line| sender.send(line).is_err()) {
+                        break;
+                    }
+                }
+            });
+        }
+        Self { child, lines }
+    }
+
+    fn wait(&mut self) -> std::io::Result<ExitStatus> {
+        self.child.wait()
+    }
+}
+
+impl Drop for Running {
+    fn drop(&mut self) {
+        // Without effect on one that has ended.
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+/// The end of a file, on one line.
+fn last_words(path: &Path) -> String {
+    let read = || -> std::io::Result<String> {
+        let mut file = File::open(path)?;
+        let length = file.metadata()?.len();
+        file.seek(SeekFrom::Start(length.saturating_sub(MAX_MESSAGE)))?;
+        let mut bytes = Vec::new();
+        file.take(MAX_MESSAGE).read_to_end(&mut bytes)?;
+        Ok(String::from_utf8_lossy(&bytes).split_whitespace().collect::<Vec<_>>().join(" "))
+    };
+    read().ok().filter(|text| !text.is_empty()).unwrap_or_else(|| "it said nothing".to_owned())
+}

@@ -1,0 +1,95 @@
+//! Why no cameras were found.
+
+use std::{io, path::PathBuf, time::Duration};
+
+use thiserror::Error;
+
+use super::{MIN_PHOTOGRAPHS, PYCOLMAP_VERSION};
+use crate::domain::{Problem, ProblemType};
+
+/// Why no cameras were found.
+#[derive(Debug, Error)]
+pub enum PosesError {
+    /// Fewer than are needed at all.
+    #[error(
+        "there are {0} photographs, and cameras are found from {MIN_PHOTOGRAPHS} or more; 50 and more, taken all around, make a good scene"
+    )]
+    TooFew(usize),
+    /// The interpreter is missing, or has no pycolmap.
+    #[error(
+        "cameras of photographs are found by pycolmap, which '{python}' does not have ({detail}); install it with `make poses`, or with \
+         `python3 -m venv ENV && ENV/bin/pip install pycolmap=={PYCOLMAP_VERSION}` and --python ENV/bin/python3"
+    )]
+    Unavailable {
+        /// The interpreter.
+        python: PathBuf,
+        /// What it said.
+        detail: String,
+    },
+    /// A file is no photograph that pycolmap reads.
+    #[error("{0}")]
+    Unreadable(String),
+    /// Too little to recognize.
+    #[error(
+        "{0}; they are blurred, dark or of bare surfaces. Take sharper ones, and put patterned things into the scene"
+    )]
+    Featureless(String),
+    /// Nothing to begin with.
+    #[error(
+        "{0}; each place should be on three photographs, from places a step apart, and lie still between them"
+    )]
+    NoOverlap(String),
+    /// Most cameras were not found.
+    #[error(
+        "the cameras of {registered} of {photographs} photographs were found, and of half at least are needed; photographs between those \
+         that were found and the others would connect them. Without a camera, for example: {examples}"
+    )]
+    TooFewRegistered {
+        /// Cameras that were found.
+        registered: usize,
+        /// Photographs that were given.
+        photographs: usize,
+        /// Some names of the others.
+        examples: String,
+    },
+    /// The time is over.
+    #[error("cameras were not found within {} s; allow more time, use fewer photographs, or --matching sequential for frames of a video", .0.as_secs())]
+    TimedOut(Duration),
+    /// The child ended without an answer.
+    #[error("pycolmap ended early ({status}): {detail}")]
+    Died {
+        /// How it ended.
+        status: String,
+        /// The end of what it wrote.
+        detail: String,
+    },
+    /// A file or a process failed.
+    #[error("{what}: {error}")]
+    Io {
+        /// What was tried.
+        what: &'static str,
+        /// The cause.
+        error: io::Error,
+    },
+    /// The caller asked to stop.
+    #[error("stopped")]
+    Cancelled,
+}
+
+impl From<PosesError> for Problem {
+    fn from(error: PosesError) -> Self {
+        let kind = match &error {
+            PosesError::TooFew(_) => ProblemType::TooFewPhotographs,
+            PosesError::Unavailable { .. } => ProblemType::PosesUnavailable,
+            PosesError::Unreadable(_) => ProblemType::ImageRejected,
+            PosesError::Featureless(_) => ProblemType::FeaturelessPhotographs,
+            PosesError::NoOverlap(_) => ProblemType::NoOverlap,
+            PosesError::TooFewRegistered { .. } => ProblemType::TooFewRegistered,
+            PosesError::TimedOut(_) => ProblemType::PosesTimedOut,
+            PosesError::Died { .. } => ProblemType::PosesFailed,
+            PosesError::Io { .. } => ProblemType::StorageFailed,
+            PosesError::Cancelled => ProblemType::Stopped,
+        };
+        Problem::new(kind, error.to_string())
+    }
+}

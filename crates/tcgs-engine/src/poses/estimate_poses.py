@@ -1,0 +1,283 @@
+"""Finds the cameras of photographs with pycolmap: features, matches, incremental mapping.
+
+    python3 -I estimate_poses.py REQUEST.json
+
+The request has `photographs` (a folder), `names` (files below it, in order), `work` (an empty folder), `camera_model`, `matching`
+(`auto`, `exhaustive`, `sequential`), `seed`, `threads`, `memory_bytes` (0 for no limit). Standard output has one JSON object a line:
+`{"stage", "done", "total"}` as work goes on, and at the end `{"result"}` or `{"failure", "detail"}`. The result's model is in
+`work/sparse/0`. pycolmap and numpy alone are needed.
+"""
+
+import collections
+import ctypes
+import json
+import os
+import re
+import statistics
+import sys
+import threading
+import time
+from pathlib import Path
+
+# Photographs up to which every pair is matched.
+MAX_EXHAUSTIVE = 200
+# Frames of a longer sequence that are matched with each other, so that loops close.
+KEY_FRAMES = 60
+# Longest side, in pixels, at which features are looked for.
+MAX_FEATURE_SIDE = 1600
+# Fewest features of a usable photograph, in the median.
+MIN_FEATURES = 100
+# Photographs whose pairs are matched between two reports of progress.
+BLOCK = 10
+
+CLONE_NEWUSER, CLONE_NEWNET = 0x10000000, 0x40000000
+
+
+def say(**message):
+    print(json.dumps(message), flush=True)
+
+
+def fail(failure, detail):
+    say(failure=failure, detail=detail)
+    sys.exit(0)
+
+
+def leave_network():
+    """Moves the process to a network namespace of its own, which has no interfaces; returns whether that was possible."""
+    try:
+        libc = ctypes.CDLL(None, use_errno=True)
+        return libc.unshare(CLONE_NEWNET) == 0 or libc.unshare(CLONE_NEWUSER | CLONE_NEWNET) == 0
+    except (OSError, AttributeError):
+        return False
+
+
+def limit_memory(number):
+    if number:
+        import resource
+
+        resource.setrlimit(resource.RLIMIT_DATA, (number, number))
+
+
+def end_with_parent():
+    """Ends the process once its parent has: the work is of no use to anybody then."""
+    parent = os.getppid()
+
+    def watch():
+        while os.getppid() == parent:
+            time.sleep(1.0)
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
+
+
+class Progress:
+    """Reports progress from what COLMAP's libraries log, which is passed on. They tell it nowhere else: its database belongs to them
+    while they work."""
+
+    LINES = re.compile(r"Processed file \[(\d+)/(\d+)\]|Processing block \[(\d+)/(\d+), (\d+)/(\d+)\]|Processing image \[(\d+)/(\d+)\]")
+
+    def __init__(self):
+        self.stage, self.total, self.before = None, 0, 0
+        self.log = os.fdopen(os.dup(2), "w", errors="replace")
+        reading, writing = os.pipe()
+        os.dup2(writing, 2)
+        os.close(writing)
+        threading.Thread(target=self.read, args=(reading,), daemon=True).start()
+
+    def begin(self, stage, total):
+        self.stage, self.total, self.before = stage, total, 0
+        say(stage=stage, done=0, total=total)
+
+    def end(self):
+        say(stage=self.stage, done=self.total, total=self.total)
+
+    def read(self, pipe):
+        with os.fdopen(pipe, errors="replace") as lines:
+            for line in lines:
+                self.log.write(line)
+                self.log.flush()
+                found = self.LINES.search(line)
+                if found:
+                    self.tell(*(int(number) if number else 0 for number in found.groups()))
+
+    def tell(self, file, _files, row, rows, column, columns, image, images):
+        if self.stage == "features" and file:
+            say(stage=self.stage, done=min(self.before + file, self.total), total=self.total)
+        elif self.stage == "matches" and rows:
+            # A block is logged as it begins.
+            share = ((row - 1) * columns + column - 1) / (rows * columns)
+            say(stage=self.stage, done=int(self.total * share), total=self.total)
+        elif self.stage == "matches" and images:
+            say(stage=self.stage, done=int(self.total * (image - 1) / images), total=self.total)
+
+
+def devices(pycolmap, folder, names):
+    """Names by the device, lens and size that EXIF and pixels tell: each group shares one camera."""
+    groups = collections.OrderedDict()
+    for name in names:
+        bitmap = pycolmap.Bitmap.read(folder / name, True)
+        if bitmap is None:
+            fail("unreadable", f"{name} is not a photograph that pycolmap can read")
+        size = (bitmap.width, bitmap.height)
+        exif = [str(value) for value in (bitmap.exif_camera_model(), bitmap.exif_focal_length())]
+        groups.setdefault((size, *exif), []).append(name)
+    return list(groups.values())
+
+
+def loop_pairs(names):
+    """Pairs of key frames, evenly spread, that sequential matching leaves out. COLMAP's lists of pairs have no names with spaces."""
+    names = [name for name in names if not any(character.isspace() for character in name)]
+    count = min(KEY_FRAMES, len(names))
+    keys = [names[index * len(names) // count] for index in range(count)]
+    return [(a, b) for place, a in enumerate(keys) for b in keys[place + 1 :]]
+
+
+def upright(pycolmap, numpy, model):
+    """Turns the model so that the common up of its cameras is -y, as of a level first camera."""
+    ups = [-image.cam_from_world().rotation.matrix()[1] for image in model.images.values() if image.has_pose]
+    up = numpy.mean(ups, axis=0)
+    if numpy.linalg.norm(up) < 0.3:
+        # Cameras all around a point have none in common.
+        return
+    up = up / numpy.linalg.norm(up)
+    target = numpy.array([0.0, -1.0, 0.0])
+    axis, cosine = numpy.cross(up, target), float(up @ target)
+    if cosine < -0.999999:
+        matrix = numpy.diag([1.0, -1.0, -1.0])
+    else:
+        cross = numpy.array([[0, -axis[2], axis[1]], [axis[2], 0, -axis[0]], [-axis[1], axis[0], 0]])
+        matrix = numpy.eye(3) + cross + cross @ cross / (1.0 + cosine)
+    model.transform(pycolmap.Sim3d(1.0, pycolmap.Rotation3d(matrix), numpy.zeros(3)))
+
+
+def main():
+    request = json.loads(Path(sys.argv[1]).read_text(encoding="utf-8"))
+    isolated = leave_network()
+    limit_memory(request["memory_bytes"])
+    end_with_parent()
+    progress = Progress()
+    try:
+        import numpy
+        import pycolmap
+    except ImportError as error:
+        fail("unavailable", str(error))
+    say(version=pycolmap.__version__, network="isolated" if isolated else "not isolated")
+
+    folder, work, names = Path(request["photographs"]), Path(request["work"]), request["names"]
+    seed, threads, database = request["seed"], request["threads"], work / "features.db"
+    pycolmap.set_random_seed(seed)
+
+    reader = pycolmap.ImageReaderOptions()
+    reader.camera_model = request["camera_model"]
+    extraction = pycolmap.FeatureExtractionOptions()
+    extraction.num_threads, extraction.max_image_size, extraction.use_gpu = threads, MAX_FEATURE_SIDE, False
+    progress.begin("features", len(names))
+    pycolmap.Database.open(database).close()
+    groups = devices(pycolmap, folder, names)
+    for group in groups:
+        # In order, since numbers of photographs decide which come first; extraction would number them as threads finish.
+        pycolmap.import_images(
+            database, folder, camera_mode=pycolmap.CameraMode.SINGLE, image_names=group, options=reader
+        )
+    for group in groups:
+        pycolmap.extract_features(
+            database,
+            folder,
+            image_names=group,
+            camera_mode=pycolmap.CameraMode.SINGLE,
+            reader_options=reader,
+            extraction_options=extraction,
+            device=pycolmap.Device.cpu,
+        )
+        progress.before += len(group)
+    progress.end()
+    opened = pycolmap.Database.open(database)
+    features = {image.name: opened.num_keypoints_for_image(image.image_id) for image in opened.read_all_images()}
+    opened.close()
+    counts = [features.get(name, 0) for name in names]
+    if statistics.median(counts) < MIN_FEATURES:
+        weakest = min(names, key=lambda name: features.get(name, 0))
+        fail(
+            "featureless",
+            f"half of the photographs have fewer than {MIN_FEATURES} distinct points (fewest: {weakest} with {features.get(weakest, 0)})",
+        )
+
+    exhaustive = request["matching"] == "exhaustive" or (request["matching"] == "auto" and len(names) <= MAX_EXHAUSTIVE)
+    matching = pycolmap.FeatureMatchingOptions()
+    matching.num_threads, matching.use_gpu = 1, False
+    verification = pycolmap.TwoViewGeometryOptions()
+    verification.ransac.random_seed = seed
+    options = {"matching_options": matching, "verification_options": verification, "device": pycolmap.Device.cpu}
+    if exhaustive:
+        progress.begin("matches", len(names) * (len(names) - 1) // 2)
+        pairing = pycolmap.ExhaustivePairingOptions()
+        pairing.block_size = BLOCK
+        pycolmap.match_exhaustive(database, pairing_options=pairing, **options)
+    else:
+        pairing = pycolmap.SequentialPairingOptions()
+        pairing.num_threads = threads
+        loops = loop_pairs(names)
+        progress.begin("matches", len(names) * 2 * pairing.overlap + len(loops))
+        pycolmap.match_sequential(database, pairing_options=pairing, **options)
+        pairs = work / "loops.txt"
+        pairs.write_text("".join(f"{a} {b}\n" for a, b in loops), encoding="utf-8")
+        imported = pycolmap.ImportedPairingOptions()
+        imported.match_list_path = pairs
+        pycolmap.match_image_pairs(database, pairing_options=imported, **options)
+    progress.end()
+    opened = pycolmap.Database.open(database)
+    verified = opened.num_verified_image_pairs()
+    opened.close()
+    if verified == 0:
+        fail("no-overlap", "no two photographs show the same things")
+
+    mapping = pycolmap.IncrementalPipelineOptions()
+    mapping.num_threads, mapping.random_seed = 1, seed
+    mapping.min_model_size = 3
+    mapping.mapper.num_threads = 1
+    mapping.mapper.random_seed = mapping.triangulation.random_seed = seed
+    registered = 0
+
+    def initial():
+        nonlocal registered
+        registered = 2
+        say(stage="mapping", done=registered, total=len(names))
+
+    def following():
+        nonlocal registered
+        registered += 1
+        say(stage="mapping", done=min(registered, len(names)), total=len(names))
+
+    say(stage="mapping", done=0, total=len(names))
+    models = pycolmap.incremental_mapping(
+        database,
+        folder,
+        work / "models",
+        options=mapping,
+        initial_image_pair_callback=initial,
+        next_image_callback=following,
+    )
+    if not models:
+        fail("no-overlap", "no two photographs overlap enough, from places far enough apart, to begin with")
+    model = max(models.values(), key=lambda model: model.num_reg_images())
+    upright(pycolmap, numpy, model)
+    (work / "sparse" / "0").mkdir(parents=True)
+    model.write(work / "sparse" / "0")
+    found = sorted(image.name for image in model.images.values() if image.has_pose)
+    say(
+        result={
+            "registered": found,
+            "models": len(models),
+            "points": model.num_points3D(),
+            "cameras": model.num_cameras(),
+            "reprojection_error": model.compute_mean_reprojection_error(),
+            "verified_pairs": verified,
+        }
+    )
+
+
+if __name__ == "__main__":
+    try:
+        main()
+    except Exception as error:
+        fail("error", f"{type(error).__name__}: {error}")

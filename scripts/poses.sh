@@ -1,0 +1,19 @@
+#!/usr/bin/env bash
+# Makes the private Python environment in which `tcgs poses` finds cameras: pycolmap and numpy, pinned by their hashes, through PyPI.
+#   scripts/poses.sh           makes it where `tcgs poses` looks for it, if it is not there
+#   scripts/poses.sh --where   also prints its interpreter
+set -euo pipefail
+cd "$(dirname "$0")/.."
+
+environment=${XDG_DATA_HOME:-$HOME/.local/share}/tcgs/poses
+requirements=scripts/poses_requirements.txt
+
+if ! cmp -s "$requirements" "$environment/requirements.txt"; then
+    rm -rf "$environment"
+    python3 -m venv "$environment" >&2
+    "$environment/bin/pip" install --quiet --disable-pip-version-check --only-binary :all: --require-hashes -r "$requirements" >&2
+    "$environment/bin/python3" -I -c 'import pycolmap'
+    # Last, so that an interrupted installation is made again.
+    cp "$requirements" "$environment/requirements.txt"
+fi
+[ "${1:-}" != --where ] || printf '%s\n' "$environment/bin/python3"
