@@ -17,7 +17,7 @@ use crate::{
 #[derive(Clone)]
 pub struct Services {
     /// Jobs and events.
-    pub store: Arc<Store>,
+    pub store: Store,
     /// Datasets and results.
     pub blobs: Blobs,
     pub clock: Arc<dyn Clock>,

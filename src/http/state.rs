@@ -75,11 +75,11 @@ impl AppState {
         let checks = Arc::new(Semaphore::new(limits.checks));
         let waits = Semaphore::new(limits.waits);
         let exports = ExportQueue::new(limits.exports, limits.exports_waiting);
-        let watcher = Watcher::new(Arc::clone(&services.store), limits.watch_interval);
-        let (store, blobs) = (Arc::clone(&services.store), services.blobs.clone());
-        let stats = StatsCache::new(Arc::clone(&store));
-        let auth_mode = AuthMode::new(Arc::clone(&store), limits.access.without_keys);
-        let readiness = Checks::new(Arc::clone(&store), blobs.clone(), limits.min_free_space);
+        let watcher = Watcher::new(services.store.clone(), limits.watch_interval);
+        let (store, blobs) = (services.store.clone(), services.blobs.clone());
+        let stats = StatsCache::new(store.clone());
+        let auth_mode = AuthMode::new(store.clone(), limits.access.without_keys);
+        let readiness = Checks::new(store.clone(), blobs.clone(), limits.min_free_space);
         let reservations = Reservations::new(store, blobs, limits.min_free_space);
         let event_streams =
             Slots::new(Capacity { all: limits.event_streams, each: limits.event_streams_per_key });

@@ -196,7 +196,7 @@ pub async fn restore(
     let staged = data.join(format!("{DATABASE}.restoring"));
     fs::copy(backup.join(DATABASE), &staged)?;
     let copied = async {
-        let store = Arc::new(Store::open(&staged, clock, QueuePolicy::default()).await?);
+        let store = Store::open(&staged, clock, QueuePolicy::default()).await?;
         let copy = match bucket {
             None => {
                 store.move_blobs(BlobPlace::Folder).await?;
@@ -229,7 +229,7 @@ async fn open_bucket(
     data: &Path,
     bucket: Arc<dyn ObjectStore>,
     claim: BucketClaim,
-    store: &Arc<Store>,
+    store: &Store,
 ) -> Result<Blobs, BackupError> {
     let opened = match claim {
         BucketClaim::Unclaimed => Blobs::open_bucket(data, bucket, store.clone()).await,

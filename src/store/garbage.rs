@@ -193,7 +193,7 @@ async fn collect_uploads(
 
 /// Collects until `stop`, at intervals and soon after [`Blobs::request_collection`].
 pub async fn collect_garbage(
-    store: Arc<Store>,
+    store: Store,
     blobs: Blobs,
     clock: Arc<dyn Clock>,
     policy: GarbagePolicy,

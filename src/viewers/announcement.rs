@@ -1,6 +1,6 @@
 //! A viewer tells the database that it is alive, until it stops.
 
-use std::{error::Error, sync::Arc, time::Duration};
+use std::{error::Error, time::Duration};
 
 use tokio::time::sleep;
 use tokio_util::sync::CancellationToken;
@@ -11,7 +11,7 @@ use crate::store::{Store, ViewerRecord};
 pub const ANNOUNCE_EVERY: Duration = Duration::from_secs(5);
 
 /// Announces a viewer until `shutdown`, then withdraws it, so that replicas ask others before it stops to answer.
-pub async fn announce(store: Arc<Store>, viewer: ViewerRecord, shutdown: CancellationToken) {
+pub async fn announce(store: Store, viewer: ViewerRecord, shutdown: CancellationToken) {
     while !shutdown.is_cancelled() {
         if let Err(error) = store.announce_viewer(&viewer).await {
             tracing::warn!(error = &error as &dyn Error, "this viewer cannot be announced: {error}");

@@ -90,7 +90,7 @@ impl KnownViewers {
 
 /// The viewers that a replica knows.
 pub struct ViewerPool {
-    store: Arc<Store>,
+    store: Store,
     clock: Arc<dyn Clock>,
     client: Client,
     runtime: Handle,
@@ -119,7 +119,7 @@ impl ViewerPool {
     /// # Errors
     /// If no TLS client can be built.
     pub fn new(
-        store: Arc<Store>,
+        store: Store,
         clock: Arc<dyn Clock>,
         runtime: Handle,
     ) -> Result<Self, Box<dyn Error + Send + Sync>> {

@@ -8,7 +8,7 @@ mod schedule;
 mod send;
 mod sign;
 
-use std::{error::Error, sync::Arc, time::Duration};
+use std::{error::Error, time::Duration};
 
 use tokio::{
     task::JoinSet,
@@ -40,13 +40,13 @@ with_defaults! {
 }
 
 /// Delivers what is due until `shutdown`.
-pub async fn deliver(store: Arc<Store>, sender: Sender, config: DeliveryConfig, shutdown: CancellationToken) {
+pub async fn deliver(store: Store, sender: Sender, config: DeliveryConfig, shutdown: CancellationToken) {
     let mut running = JoinSet::new();
     while !shutdown.is_cancelled() {
         if running.len() < config.max_concurrent {
             match store.take_delivery(config.lease).await {
                 Ok(Some(due)) => {
-                    running.spawn(attempt(Arc::clone(&store), sender.clone(), due));
+                    running.spawn(attempt(store.clone(), sender.clone(), due));
                     continue;
                 }
                 Ok(None) => {}
@@ -71,7 +71,7 @@ pub async fn deliver(store: Arc<Store>, sender: Sender, config: DeliveryConfig, 
     }
 }
 
-async fn attempt(store: Arc<Store>, sender: Sender, due: DueDelivery) {
+async fn attempt(store: Store, sender: Sender, due: DueDelivery) {
     let sent = sender.send(&due).await;
     let result = schedule::result_of(&due, sent);
     let (delivery, status) = (due.id, result.response_status);

@@ -38,7 +38,7 @@ const FINISH_RETRY_PAUSE: Duration = Duration::from_secs(1);
 
 /// What every attempt uses.
 pub(super) struct WorkerDeps {
-    pub(super) store: Arc<Store>,
+    pub(super) store: Store,
     pub(super) blobs: Blobs,
     pub(super) runner: Arc<dyn RunJob>,
     pub(super) config: WorkerConfig,

@@ -32,7 +32,7 @@ const RARER: u32 = 8;
 /// # Errors
 /// [`WorkerError::Stalled`]; the process must end.
 pub async fn serve(
-    store: Arc<Store>,
+    store: Store,
     blobs: Blobs,
     runner: Arc<dyn RunJob>,
     config: WorkerConfig,

@@ -150,7 +150,7 @@ impl Workers for SupervisedWorkers {
 
 /// Starts the workers, and restarts them until `shutdown`.
 #[must_use]
-pub fn supervise(config: SuperviseConfig, store: Arc<Store>, shutdown: CancellationToken) -> Supervisor {
+pub fn supervise(config: SuperviseConfig, store: Store, shutdown: CancellationToken) -> Supervisor {
     let config = Arc::new(config);
     let started = Arc::new(Started::default());
     let mut tasks = JoinSet::new();
@@ -159,7 +159,7 @@ pub fn supervise(config: SuperviseConfig, store: Arc<Store>, shutdown: Cancellat
             let (pid, watched) = watch::channel(None);
             tasks.spawn(keep_alive(
                 Arc::clone(&config),
-                Arc::clone(&store),
+                store.clone(),
                 Arc::clone(&started),
                 pid,
                 shutdown.clone(),
@@ -185,7 +185,7 @@ impl Supervisor {
 
 async fn keep_alive(
     config: Arc<SuperviseConfig>,
-    store: Arc<Store>,
+    store: Store,
     started: Arc<Started>,
     pid: watch::Sender<Option<u32>>,
     shutdown: CancellationToken,

@@ -147,7 +147,7 @@ impl Machine {
 
 /// A database and blobs, and the replica's pool over them.
 struct Fixture {
-    store: Arc<Store>,
+    store: Store,
     blobs: Blobs,
     clock: Arc<ManualClock>,
     pool: Arc<ViewerPool>,
@@ -159,7 +159,7 @@ impl Fixture {
         let data = tempfile::tempdir().expect("a folder");
         let clock = Arc::new(ManualClock::new("2026-11-24T12:00:00Z".parse().expect("an instant")));
         let store = Store::open(&data.path().join("tcgs.db"), clock.clone(), QueuePolicy::default()).await;
-        let store = Arc::new(store.expect("a database"));
+        let store = store.expect("a database");
         let blobs = Blobs::open(data.path()).expect("a blob store");
         let pool = ViewerPool::new(store.clone(), clock.clone(), Handle::current()).expect("a client");
         Self { store, blobs, clock, pool: Arc::new(pool), _data: data }

@@ -32,7 +32,7 @@ pub(super) fn here(
 
 /// Leaves rendering to viewer processes.
 pub(super) async fn elsewhere(
-    store: &Arc<Store>,
+    store: &Store,
     shutdown: &CancellationToken,
     checker: DatasetChecker,
 ) -> Result<Rendering, Box<dyn Error + Send + Sync>> {

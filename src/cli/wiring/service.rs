@@ -239,7 +239,7 @@ pub(super) async fn open_store(
     storage: &Storage,
     limits: ProjectLimits,
     older: OlderSchema,
-) -> Result<Arc<Store>, CliError> {
+) -> Result<Store, CliError> {
     private_folder(&storage.data)?;
     let (database, clock) = (storage.location(), Arc::new(SystemClock));
     let policy = QueuePolicy { limits, ..QueuePolicy::default() };
@@ -247,11 +247,11 @@ pub(super) async fn open_store(
         OlderSchema::Migrate => Store::open(database, clock, policy).await,
         OlderSchema::Refuse => Store::open_current(database, clock, policy).await,
     };
-    store.map(Arc::new).map_err(|error| unavailable(&error))
+    store.map_err(|error| unavailable(&error))
 }
 
 /// The blobs of a service, in the place that its database knows.
-pub(super) async fn open_blobs(storage: &Storage, store: &Arc<Store>) -> Result<Blobs, CliError> {
+pub(super) async fn open_blobs(storage: &Storage, store: &Store) -> Result<Blobs, CliError> {
     let opened = async {
         let Some(bucket) = &storage.blobs else {
             store.claim_place(BlobPlace::Folder).await?;

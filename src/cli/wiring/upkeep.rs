@@ -28,7 +28,7 @@ async fn existing(storage: &Storage) -> Result<Store, CliError> {
 /// Writes a backup of a data folder, whether its service runs or not.
 pub(crate) fn back_up(storage: &Storage, destination: &Path, mode: CopyMode) -> Result<BackupNote, CliError> {
     runtime()?.block_on(async {
-        let store = Arc::new(existing(storage).await?);
+        let store = existing(storage).await?;
         private::create(destination).map_err(|error| CliError::unwritable(destination, &error))?;
         let source = match storage.blobs {
             Some(_) => BlobSource::Store(open_blobs(storage, &store).await?),
@@ -55,7 +55,7 @@ pub(crate) fn restore(backup: &Path, storage: &Storage, claim: BucketClaim) -> R
 /// Checks a data folder, whether its service runs or not.
 pub(crate) fn fsck(storage: &Storage, depth: CheckDepth) -> Result<FsckReport, CliError> {
     runtime()?.block_on(async {
-        let store = Arc::new(existing(storage).await?);
+        let store = existing(storage).await?;
         let blobs = open_blobs(storage, &store).await?;
         let report = check_data_folder(&store, &blobs, depth, SystemClock.now()).await;
         store.close().await;

@@ -1,7 +1,5 @@
 //! `POST /v1/datasets`: creates a dataset from the archive in the body, or from a finished upload.
 
-use std::sync::Arc;
-
 use axum::{
     body::{Body, BodyDataStream},
     extract::State,
@@ -200,7 +198,7 @@ async fn keep(
         upload,
         intent,
     };
-    let store = Arc::clone(&state.services.store);
+    let store = state.services.store.clone();
     let created = received.keep(state, async move { store.create_dataset(new).await }).await?;
     Ok(created.map(|creation| match creation {
         DatasetCreation::Created(record) => {

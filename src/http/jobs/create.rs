@@ -1,7 +1,5 @@
 //! `POST /v1/jobs`: creates a job from the archive in the body, or from a scene that was sent before.
 
-use std::sync::Arc;
-
 use axum::{
     body::{Body, BodyDataStream},
     extract::State,
@@ -113,7 +111,7 @@ async fn from_archive(
         let (received, _) = received.check(state).await?;
         let job = new_job(request, wanted, received.blob()).await?;
         let job = NewJob { intent: intent.clone(), ..job };
-        let store = Arc::clone(&state.services.store);
+        let store = state.services.store.clone();
         received.keep(state, async move { store.create_job(job).await }).await
     };
     idempotent(request, intent.clone(), create).await

@@ -1,6 +1,6 @@
 //! Fails queued jobs whose deadline has passed, and ends the leases of silent workers, also while every worker is busy or there is none.
 
-use std::{sync::Arc, time::Duration};
+use std::time::Duration;
 
 use tokio::time::{MissedTickBehavior, interval};
 use tokio_util::sync::CancellationToken;
@@ -8,7 +8,7 @@ use tokio_util::sync::CancellationToken;
 use crate::store::{Store, StoreError};
 
 /// Checks for such jobs at an interval until `shutdown`.
-pub(super) async fn enforce(store: Arc<Store>, every: Duration, shutdown: CancellationToken) {
+pub(super) async fn enforce(store: Store, every: Duration, shutdown: CancellationToken) {
     let mut tick = interval(every);
     tick.set_missed_tick_behavior(MissedTickBehavior::Delay);
     loop {

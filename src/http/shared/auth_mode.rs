@@ -1,15 +1,12 @@
 //! Whether the service requires keys.
 
-use std::sync::{
-    Arc,
-    atomic::{AtomicBool, Ordering},
-};
+use std::sync::atomic::{AtomicBool, Ordering};
 
 use crate::{http::problem::ApiResult, store::Store};
 
 /// Whether the database had any key when last read. Keys are never removed from it.
 pub(crate) struct AuthMode {
-    store: Arc<Store>,
+    store: Store,
     /// Whether requests without a key are served even if there are keys.
     without_keys: bool,
     has_keys: AtomicBool,
@@ -17,7 +14,7 @@ pub(crate) struct AuthMode {
 
 impl AuthMode {
     /// The mode of a service whose keys have not been read yet.
-    pub(crate) fn new(store: Arc<Store>, without_keys: bool) -> Self {
+    pub(crate) fn new(store: Store, without_keys: bool) -> Self {
         Self { store, without_keys, has_keys: AtomicBool::new(false) }
     }
 

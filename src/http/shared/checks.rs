@@ -21,7 +21,7 @@ pub(crate) const OK: &str = "ok";
 pub(crate) struct Checks(Arc<Inner>);
 
 struct Inner {
-    store: Arc<Store>,
+    store: Store,
     blobs: Blobs,
     /// The floor of free disk space, in bytes.
     min_free_space: u64,
@@ -46,7 +46,7 @@ pub(crate) struct Disk {
 
 impl Checks {
     /// Checks that have found nothing yet.
-    pub(crate) fn new(store: Arc<Store>, blobs: Blobs, min_free_space: u64) -> Self {
+    pub(crate) fn new(store: Store, blobs: Blobs, min_free_space: u64) -> Self {
         let (disk, answers) = (Cached::default(), Cached::default());
         Self(Arc::new(Inner { store, blobs, min_free_space, disk, answers }))
     }

@@ -25,7 +25,7 @@ const STEP: u64 = 8 << 20;
 pub(crate) struct Reservations(Arc<Inner>);
 
 struct Inner {
-    store: Arc<Store>,
+    store: Store,
     blobs: Blobs,
     /// The floor of free disk space, in bytes.
     min_free_space: u64,
@@ -73,7 +73,7 @@ impl fmt::Debug for Reservations {
 
 impl Reservations {
     /// Nothing reserved yet; the disk that has the blobs keeps `min_free_space` bytes.
-    pub(crate) fn new(store: Arc<Store>, blobs: Blobs, min_free_space: u64) -> Self {
+    pub(crate) fn new(store: Store, blobs: Blobs, min_free_space: u64) -> Self {
         Self(Arc::new(Inner { store, blobs, min_free_space, pending: Mutex::default() }))
     }
 
@@ -231,7 +231,7 @@ mod tests {
         let folder = tempfile::tempdir().expect("a folder");
         let path = folder.path().join("tcgs.db");
         let store = Store::open(&path, Arc::new(SystemClock), QueuePolicy::default());
-        let store = Arc::new(store.await.expect("a database"));
+        let store = store.await.expect("a database");
         let blobs = Blobs::open(folder.path()).expect("a blob store");
         (folder, Reservations::new(store, blobs, 1))
     }

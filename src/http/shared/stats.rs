@@ -1,9 +1,6 @@
 //! The store's statistics, cached, so that scrapers cannot keep the database busy.
 
-use std::{
-    sync::Arc,
-    time::{Duration, Instant},
-};
+use std::time::{Duration, Instant};
 
 use tokio::sync::Mutex;
 
@@ -17,13 +14,13 @@ const CACHE_TIME: Duration = Duration::from_secs(1);
 
 /// The statistics, read at most once in [`CACHE_TIME`].
 pub(crate) struct StatsCache {
-    store: Arc<Store>,
+    store: Store,
     latest: Mutex<Option<(Instant, StoreStats)>>,
 }
 
 impl StatsCache {
     /// A cache that has read nothing yet.
-    pub(crate) fn new(store: Arc<Store>) -> Self {
+    pub(crate) fn new(store: Store) -> Self {
         Self { store, latest: Mutex::default() }
     }
 

@@ -30,7 +30,7 @@ const AT_MOST_EVERY: Duration = Duration::from_millis(25);
 pub(crate) struct Watcher(Arc<Inner>);
 
 struct Inner {
-    store: Arc<Store>,
+    store: Store,
     every: Duration,
     waiting: Mutex<Waiting>,
     /// Told of every new waiter.
@@ -54,7 +54,7 @@ enum Newest {
 
 impl Watcher {
     /// A watcher that polls at an interval.
-    pub(crate) fn new(store: Arc<Store>, every: Duration) -> Self {
+    pub(crate) fn new(store: Store, every: Duration) -> Self {
         Self(Arc::new(Inner { store, every, waiting: Mutex::default(), arrived: Notify::new() }))
     }
 
@@ -151,15 +151,15 @@ mod tests {
 
     const LONG: Duration = Duration::from_secs(60);
 
-    async fn with_job() -> (TempDir, Arc<Store>, Watcher, JobId) {
+    async fn with_job() -> (TempDir, Store, Watcher, JobId) {
         let folder = tempfile::tempdir().expect("a folder");
         let path = folder.path().join("tcgs.db");
         let store = Store::open(&path, Arc::new(SystemClock), QueuePolicy::default()).await;
-        let store = Arc::new(store.expect("a database"));
+        let store = store.expect("a database");
         let id = JobId(Uuid::from_u128(1));
         let dataset = BlobRef { digest: Digest::of(b"dataset"), bytes: 7 };
         store.create_job(NewJob::new(id, Default::default(), dataset)).await.expect("created");
-        let watcher = Watcher::new(Arc::clone(&store), Duration::from_millis(2));
+        let watcher = Watcher::new(store.clone(), Duration::from_millis(2));
         (folder, store, watcher, id)
     }
 

@@ -196,7 +196,7 @@ struct Inner {
 #[derive(Debug)]
 enum BlobBackend {
     Folder(Folder),
-    Bucket(Bucket),
+    Bucket(Box<Bucket>),
 }
 
 impl Blobs {
@@ -220,10 +220,10 @@ impl Blobs {
     pub async fn open_bucket(
         data: &Path,
         bucket: Arc<dyn ObjectStore>,
-        store: Arc<Store>,
+        store: Store,
     ) -> Result<Self, BlobError> {
         let bucket = Bucket::open(bucket, store).await?;
-        Self::with(data, |_| Ok(BlobBackend::Bucket(bucket)))
+        Self::with(data, |_| Ok(BlobBackend::Bucket(Box::new(bucket))))
     }
 
     /// As [`Blobs::open_bucket`], but the bucket becomes this database's, whichever had it before: objects that nothing refers to are
@@ -234,10 +234,10 @@ impl Blobs {
     pub async fn take_over_bucket(
         data: &Path,
         bucket: Arc<dyn ObjectStore>,
-        store: Arc<Store>,
+        store: Store,
     ) -> Result<Self, BlobError> {
         let bucket = Bucket::take_over(bucket, store).await?;
-        Self::with(data, |_| Ok(BlobBackend::Bucket(bucket)))
+        Self::with(data, |_| Ok(BlobBackend::Bucket(Box::new(bucket))))
     }
 
     fn with(

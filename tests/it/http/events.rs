@@ -202,8 +202,8 @@ async fn a_client_that_follows_across_a_restart_misses_nothing_and_gets_nothing_
     server.store.report(&lease, Phase::Train, &progress(5)).await.expect("stored");
 
     let reopened = Store::open(&server.database(), Arc::new(SystemClock), quick_policy()).await;
-    let store = Arc::new(reopened.expect("the database"));
-    let services = Services { store: Arc::clone(&store), ..server.services.clone() };
+    let store = reopened.expect("the database");
+    let services = Services { store: store.clone(), ..server.services.clone() };
     let config = HttpConfig { listen: server.address, ..HttpConfig::default() };
     let listener = http::bind(&config, false).await.expect("the same port");
     let stop = CancellationToken::new();

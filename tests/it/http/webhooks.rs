@@ -56,7 +56,7 @@ fn deliver_trusting(
 ) -> JoinHandle<()> {
     let sender = Sender::new(policy, lookup, Duration::from_secs(15), roots).expect("a sender");
     let config = DeliveryConfig { poll: Duration::from_millis(2), ..DeliveryConfig::default() };
-    let store = Arc::clone(&server.store);
+    let store = server.store.clone();
     tokio::spawn(webhooks::deliver(store, sender, config, server.shutdown.clone()))
 }
 
@@ -445,7 +445,7 @@ async fn who_takes_a_message_and_stays_mute_is_given_up() {
     let made = endpoint(&server, json!({ "url": url, "events": ["job.queued"] })).await;
     let sender = Sender::new(LOCAL, system_lookup(), Duration::from_secs(1), &ExtraRoots::default());
     let config = DeliveryConfig { poll: Duration::from_millis(2), ..DeliveryConfig::default() };
-    let store = Arc::clone(&server.store);
+    let store = server.store.clone();
     tokio::spawn(webhooks::deliver(store, sender.expect("a sender"), config, server.shutdown.clone()));
     server.create("succeed").await;
     // Taken, and held open without a word.

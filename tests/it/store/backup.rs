@@ -27,7 +27,7 @@ use uuid::Uuid;
 /// A data folder.
 #[derive(Clone)]
 struct DataFolder {
-    store: Arc<Store>,
+    store: Store,
     blobs: Blobs,
 }
 
@@ -57,7 +57,7 @@ impl DataFolder {
     async fn open(data: &Path) -> Self {
         fs::create_dir_all(data).expect("made");
         let store = Store::open(&data.join(DATABASE), Arc::new(SystemClock), QueuePolicy::default()).await;
-        Self { store: Arc::new(store.expect("a database")), blobs: Blobs::open(data).expect("a store") }
+        Self { store: store.expect("a database"), blobs: Blobs::open(data).expect("a store") }
     }
 
     async fn job(&self, number: u128, content: &'static str) -> BlobRef {

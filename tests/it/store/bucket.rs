@@ -29,7 +29,7 @@ use crate::support::{
 
 struct Fixture {
     objects: Arc<dyn ObjectStore>,
-    store: Arc<Store>,
+    store: Store,
     blobs: Blobs,
     clock: Arc<ManualClock>,
     folder: TempDir,
@@ -44,7 +44,7 @@ impl Fixture {
         // As precise as the database.
         let now = SystemClock.now().round(Unit::Microsecond).expect("in range");
         let clock = Arc::new(ManualClock::new(now));
-        let store = Arc::new(database.open(clock.clone(), QueuePolicy::default()).await);
+        let store = database.open(clock.clone(), QueuePolicy::default()).await;
         let objects = server.connect(&server.prefix());
         let blobs =
             Blobs::open_bucket(folder.path(), objects.clone(), store.clone()).await.expect("a bucket");
@@ -53,7 +53,7 @@ impl Fixture {
 
     /// As another process would open it.
     async fn reopen(&self) -> Result<Blobs, BlobError> {
-        let store = Arc::new(self.database.open(self.clock.clone(), QueuePolicy::default()).await);
+        let store = self.database.open(self.clock.clone(), QueuePolicy::default()).await;
         Blobs::open_bucket(self.folder.path(), self.objects.clone(), store).await
     }
 
@@ -79,9 +79,9 @@ impl Fixture {
     }
 
     /// A restored database whose blobs are in a bucket, as a service opens it.
-    async fn open_restored(&self, data: &Path, bucket: &Arc<dyn ObjectStore>) -> (Arc<Store>, Blobs) {
+    async fn open_restored(&self, data: &Path, bucket: &Arc<dyn ObjectStore>) -> (Store, Blobs) {
         let store = Store::open(&data.join(DATABASE), self.clock.clone(), QueuePolicy::default()).await;
-        let store = Arc::new(store.expect("a database"));
+        let store = store.expect("a database");
         let blobs = Blobs::open_bucket(data, bucket.clone(), store.clone()).await.expect("its bucket");
         (store, blobs)
     }
@@ -139,7 +139,7 @@ async fn a_blob_in_a_bucket_reads_back_whole_in_parts_and_as_a_file() {
 async fn content_that_is_large_is_never_put_in_one_request() {
     let Some(fixture) = Fixture::new().await else { return };
     let objects = FaultyBucket::new(fixture.objects.clone());
-    let store = Arc::new(fixture.database.open(fixture.clock.clone(), QueuePolicy::default()).await);
+    let store = fixture.database.open(fixture.clock.clone(), QueuePolicy::default()).await;
     let blobs = Blobs::open_bucket(fixture.folder.path(), Arc::new(objects.clone()), store).await;
     let blobs = blobs.expect("a bucket");
     let files = blobs.shared_files().expect("it is a bucket");
@@ -236,13 +236,13 @@ async fn a_bucket_belongs_to_one_database_and_a_database_to_one_place() {
     assert!(matches!(fixture.store.claim_place(BlobPlace::Folder).await, Err(StoreError::BlobsInBucket)));
 
     let other = Database::sqlite();
-    let store = Arc::new(other.open(fixture.clock.clone(), QueuePolicy::default()).await);
+    let store = other.open(fixture.clock.clone(), QueuePolicy::default()).await;
     let folder = tempfile::tempdir().expect("a folder");
     let opened = Blobs::open_bucket(folder.path(), fixture.objects.clone(), store).await;
     assert!(matches!(opened, Err(BlobError::OtherDatabase)));
 
     let third = Database::sqlite();
-    let store = Arc::new(third.open(fixture.clock.clone(), QueuePolicy::default()).await);
+    let store = third.open(fixture.clock.clone(), QueuePolicy::default()).await;
     let first = store.claim_place(BlobPlace::Folder).await.expect("decided now");
     assert_eq!(store.claim_place(BlobPlace::Folder).await.expect("as before"), first);
     let opened = Blobs::open_bucket(folder.path(), fixture.objects.clone(), store).await;
@@ -258,7 +258,7 @@ async fn a_database_that_has_blobs_takes_no_other_empty_bucket_for_its_own() {
     let server = S3Server::shared().expect("asked before");
     let open_empty = async || {
         let empty = server.connect(&server.prefix());
-        let store = Arc::new(fixture.database.open(fixture.clock.clone(), QueuePolicy::default()).await);
+        let store = fixture.database.open(fixture.clock.clone(), QueuePolicy::default()).await;
         (Blobs::open_bucket(fixture.folder.path(), empty.clone(), store).await, empty)
     };
     open_empty().await.0.expect("nothing is anywhere yet");
@@ -379,7 +379,7 @@ async fn a_publication_is_new_until_another_publisher_announces_or_renews_it() {
 async fn a_slow_publication_cannot_be_undone_once_another_counts_on_the_object() {
     let Some(fixture) = Fixture::new().await else { return };
     let objects = FaultyBucket::new(fixture.objects.clone());
-    let store = Arc::new(fixture.database.open(fixture.clock.clone(), QueuePolicy::default()).await);
+    let store = fixture.database.open(fixture.clock.clone(), QueuePolicy::default()).await;
     let slow = Blobs::open_bucket(fixture.folder.path(), Arc::new(objects.clone()), store).await;
     let slow = slow.expect("another replica");
     let content = || Bytes::from_static(b"twelve bytes");
@@ -558,7 +558,7 @@ async fn a_bucket_that_is_away_is_an_error_that_passes() {
     let Some(server) = S3Server::shared() else { return };
     let gate = Gate::start(server.address).await;
     let folder = tempfile::tempdir().expect("a folder");
-    let store = Arc::new(database.open(Arc::new(SystemClock), QueuePolicy::default()).await);
+    let store = database.open(Arc::new(SystemClock), QueuePolicy::default()).await;
     let url = server.prefix();
     let blobs =
         Blobs::open_bucket(folder.path(), connect(&url, gate.address), store).await.expect("a bucket");
@@ -589,7 +589,7 @@ async fn blobs_survive_answers_in_another_order_beside_garbage_collection() {
     let gate = Gate::start(server.address).await;
     gate.set(GateState::Reordered(20));
     let folder = tempfile::tempdir().expect("a folder");
-    let store = Arc::new(database.open(Arc::new(SystemClock), QueuePolicy::default()).await);
+    let store = database.open(Arc::new(SystemClock), QueuePolicy::default()).await;
     let url = server.prefix();
     let blobs = Blobs::open_bucket(folder.path(), connect(&url, gate.address), store.clone())
         .await
@@ -651,7 +651,7 @@ async fn a_backup_moves_blobs_out_of_a_bucket_and_into_another() {
             Some(bucket) => fixture.open_restored(data, &bucket).await,
             None => {
                 let store = Store::open(&data.join(DATABASE), clock.clone(), QueuePolicy::default()).await;
-                let store = Arc::new(store.expect("a database"));
+                let store = store.expect("a database");
                 store.claim_place(BlobPlace::Folder).await.expect("decided by the restoration");
                 (store, Blobs::open(data).expect("its folder"))
             }

@@ -28,7 +28,7 @@ use crate::support::{
 const MAX_REQUESTS: u32 = 100;
 
 struct Fixture {
-    store: Arc<Store>,
+    store: Store,
     blobs: Blobs,
     faults: FaultyBucket,
     clock: Arc<ManualClock>,
@@ -45,7 +45,7 @@ impl Fixture {
         let folder = tempfile::tempdir().expect("a folder");
         let now = SystemClock.now().round(Unit::Microsecond).expect("in range");
         let clock = Arc::new(ManualClock::new(now));
-        let store = Arc::new(database.open(clock.clone(), QueuePolicy::default()).await);
+        let store = database.open(clock.clone(), QueuePolicy::default()).await;
         let objects = server.connect(&server.prefix());
         let faults = FaultyBucket::new(objects.clone());
         let blobs = Blobs::open_bucket(folder.path(), Arc::new(faults.clone()), store.clone());

@@ -19,7 +19,7 @@ use uuid::Uuid;
 use crate::support::{database::Database, fakes};
 
 struct Fixture {
-    store: Arc<Store>,
+    store: Store,
     clock: Arc<ManualClock>,
     _database: Database,
 }
@@ -30,7 +30,7 @@ impl Fixture {
         let start: Timestamp = "2026-11-21T12:00:00Z".parse().expect("an instant");
         let clock = Arc::new(ManualClock::new(start));
         let store = database.open(clock.clone(), QueuePolicy::default()).await;
-        Some(Self { store: Arc::new(store), clock, _database: database })
+        Some(Self { store, clock, _database: database })
     }
 
     /// Adds a project.

@@ -25,7 +25,7 @@ const LONGEST: Duration = Duration::from_secs(120);
 const GRACE: SignedDuration = SignedDuration::from_hours(1);
 
 struct Fixture {
-    store: Arc<Store>,
+    store: Store,
     blobs: Blobs,
     /// Starts at the system time, which dates files.
     clock: Arc<ManualClock>,
@@ -38,7 +38,7 @@ impl Fixture {
         let database = super::database().await?;
         let folder = tempfile::tempdir().expect("a folder");
         let clock = Arc::new(ManualClock::new(SystemClock.now()));
-        let store = Arc::new(database.open(clock.clone(), QueuePolicy::default()).await);
+        let store = database.open(clock.clone(), QueuePolicy::default()).await;
         let blobs = if module_path!().ends_with("in_bucket") {
             let server = S3Server::shared()?;
             let bucket = server.connect(&server.prefix());

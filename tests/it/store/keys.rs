@@ -54,12 +54,12 @@ async fn of_processes_that_make_the_first_key_together_one_does() {
     let clock = clock();
     let mut stores = Vec::new();
     for _ in 0..4 {
-        stores.push(Arc::new(database.open(clock.clone(), QueuePolicy::default()).await));
+        stores.push(database.open(clock.clone(), QueuePolicy::default()).await);
     }
     let making: Vec<_> = stores
         .iter()
         .map(|store| {
-            let (store, new) = (Arc::clone(store), drawn(&clock));
+            let (store, new) = (store.clone(), drawn(&clock));
             tokio::spawn(async move { store.create_first_key(new).await.expect("an answer") })
         })
         .collect();

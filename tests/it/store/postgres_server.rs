@@ -74,14 +74,13 @@ async fn a_job_is_found_by_asking_if_its_notification_is_lost() {
         database.run(&format!("DROP TRIGGER {trigger} ON jobs")).await;
     }
     database.run("DROP TRIGGER events_told ON events").await;
-    let store = Arc::new(open(&database).await);
+    let store = open(&database).await;
     let folder = tempfile::tempdir().expect("a folder");
     let blobs = Blobs::open(folder.path()).expect("a blob store");
     let stop = CancellationToken::new();
     let runner = Arc::new(FakeRunner::default());
     let config = quick_worker("w");
-    let working =
-        tokio::spawn(worker::serve(Arc::clone(&store), blobs.clone(), runner, config, stop.clone()));
+    let working = tokio::spawn(worker::serve(store.clone(), blobs.clone(), runner, config, stop.clone()));
     let changes = store.changes(ChangeKind::Queue);
     eventually("it listens", async || changes.is_live()).await;
     let archive = blobs.put(bytes::Bytes::from_static(b"succeed")).await.expect("published");

@@ -23,7 +23,7 @@ use crate::support::{database::Database, fakes};
 const LONGEST: Duration = Duration::from_secs(120);
 
 struct Queue {
-    store: Arc<Store>,
+    store: Store,
     clock: Arc<ManualClock>,
     database: Database,
 }
@@ -38,7 +38,7 @@ impl Queue {
         let start: Timestamp = "2026-11-21T12:00:00Z".parse().expect("an instant");
         let clock = Arc::new(ManualClock::new(start));
         let store = database.open(clock.clone(), policy).await;
-        Some(Self { store: Arc::new(store), clock, database })
+        Some(Self { store, clock, database })
     }
 
     fn pass(&self, seconds: i64) {
@@ -112,7 +112,7 @@ async fn claims_are_exclusive_under_32_concurrent_claimers() {
         queue.add(number).await;
     }
     let claimers = (0..32).map(|index| {
-        let store = Arc::clone(&queue.store);
+        let store = queue.store.clone();
         tokio::spawn(async move {
             let worker = format!("worker-{index}");
             let mut taken = Vec::new();
@@ -150,13 +150,13 @@ async fn claiming_child_process() {
         Err(_) => DatabaseLocation::File(database.into()),
     };
     let store = Store::open(location, Arc::new(SystemClock), QueuePolicy::default()).await;
-    let store = Arc::new(store.expect("a database"));
+    let store = store.expect("a database");
     std::fs::write(folder.join(format!("{name}.ready")), "").expect("written");
     while !folder.join("go").exists() {
         tokio::time::sleep(Duration::from_millis(1)).await;
     }
     let claimers = (0..CLAIMERS).map(|number| {
-        let (store, worker) = (Arc::clone(&store), format!("{name}-{number}"));
+        let (store, worker) = (store.clone(), format!("{name}-{number}"));
         tokio::spawn(async move {
             let mut taken = String::new();
             while let Some(claim) = store.claim(&worker).await.expect("a claim") {
@@ -258,7 +258,7 @@ async fn an_expired_lease_is_claimable_exactly_once() {
 #[tokio::test(flavor = "multi_thread", worker_threads = 4)]
 async fn expired_leases_are_claimable_once_each_by_claimers_at_the_same_time() {
     let Some(queue) = Queue::new().await else { return };
-    let other = Arc::new(another(&queue).await);
+    let other = another(&queue).await;
     let mut stale = Vec::new();
     for number in 1..=8 {
         queue.add(number).await;
@@ -268,7 +268,7 @@ async fn expired_leases_are_claimable_once_each_by_claimers_at_the_same_time() {
     other.expire_leases().await.expect("observed");
     queue.pass(60);
     let claiming = (0..16).map(|number| {
-        let store = if number % 2 == 0 { Arc::clone(&queue.store) } else { Arc::clone(&other) };
+        let store = if number % 2 == 0 { queue.store.clone() } else { other.clone() };
         tokio::spawn(async move {
             let mut granted = Vec::new();
             while let Some(claim) = store.claim(&format!("claimer {number}")).await.expect("a claim") {
@@ -368,7 +368,7 @@ async fn cancellation_and_completion_at_the_same_time_have_one_outcome() {
     for number in 0..40 {
         let id = queue.add(number).await;
         let lease = queue.lease().await;
-        let (cancelling, finishing) = (Arc::clone(&queue.store), Arc::clone(&queue.store));
+        let (cancelling, finishing) = (queue.store.clone(), queue.store.clone());
         let cancelled = tokio::spawn(async move { cancelling.cancel(id).await });
         let finished = tokio::spawn(async move { finishing.finish(&lease, succeeded()).await });
         let answer = cancelled.await.expect("joined").expect("written").expect("known");
@@ -393,7 +393,7 @@ async fn bounds_of_a_project_hold_against_requests_at_the_same_time() {
     let project = project(&queue, 77, limits).await;
     let dataset = BlobRef { digest: Digest::of(b"dataset"), bytes: 7 };
     let requests = (0..40).map(|number| {
-        let store = Arc::clone(&queue.store);
+        let store = queue.store.clone();
         let new = NewJob::new(JobId(Uuid::from_u128(number)), TrainOptions::default(), dataset);
         tokio::spawn(async move { store.create_job(NewJob { project, ..new }).await })
     });
@@ -407,7 +407,7 @@ async fn bounds_of_a_project_hold_against_requests_at_the_same_time() {
     }
     assert_eq!(made, 7);
     let claims = (0..16).map(|number| {
-        let store = Arc::clone(&queue.store);
+        let store = queue.store.clone();
         tokio::spawn(async move { store.claim(&format!("worker-{number}")).await })
     });
     let mut running = 0;
@@ -426,7 +426,7 @@ async fn changes_at_the_same_time_neither_fail_nor_lose_count() {
         projects.push(project(&queue, number, ProjectLimits::default()).await);
     }
     let tasks = (0..12_u128).map(|task| {
-        let (store, projects) = (Arc::clone(&queue.store), projects.clone());
+        let (store, projects) = (queue.store.clone(), projects.clone());
         tokio::spawn(async move {
             for round in 0..12_u128 {
                 let number = 1000 * task + round;
@@ -1403,7 +1403,7 @@ async fn a_checkpoint_is_needed_for_as_long_as_a_retry_from_it_waits() {
 #[tokio::test(flavor = "multi_thread", worker_threads = 4)]
 async fn fifty_requests_with_one_idempotency_key_create_one_job() {
     let Some(queue) = Queue::new().await else { return };
-    let other = Arc::new(another(&queue).await);
+    let other = another(&queue).await;
     let dataset = BlobRef { digest: Digest::of(b"dataset"), bytes: 7 };
     let intent = IdempotentRequest {
         project: ProjectId::DEFAULT,
@@ -1411,7 +1411,7 @@ async fn fifty_requests_with_one_idempotency_key_create_one_job() {
         fingerprint: Digest::of(b"request"),
     };
     let requests = (0..50).map(|number| {
-        let store = if number % 2 == 0 { Arc::clone(&queue.store) } else { Arc::clone(&other) };
+        let store = if number % 2 == 0 { queue.store.clone() } else { other.clone() };
         let new = NewJob::new(JobId(Uuid::from_u128(number)), TrainOptions::default(), dataset);
         let new = NewJob { intent: Some(intent.clone()), ..new };
         tokio::spawn(async move { store.create_job(new).await })

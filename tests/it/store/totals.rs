@@ -20,7 +20,7 @@ use uuid::Uuid;
 use crate::support::{database::Database, fakes, totals::totals_equal_a_recount};
 
 pub(in crate::store) struct Fixture {
-    pub(in crate::store) store: Arc<Store>,
+    pub(in crate::store) store: Store,
     pub(super) clock: Arc<ManualClock>,
     pub(super) database: Database,
     pub(in crate::store) seen: StoreStats,
@@ -34,7 +34,7 @@ impl Fixture {
     pub(in crate::store) async fn open(database: Database) -> Self {
         let start: Timestamp = "2026-11-21T12:00:00Z".parse().expect("an instant");
         let clock = Arc::new(ManualClock::new(start));
-        let store = Arc::new(database.open(clock.clone(), QueuePolicy::default()).await);
+        let store = database.open(clock.clone(), QueuePolicy::default()).await;
         Self { store, clock, database, seen: StoreStats::default() }
     }
 

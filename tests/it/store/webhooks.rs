@@ -1,6 +1,6 @@
 //! The outbox of webhooks: whose message is next, and what endpoints get that are disabled meanwhile.
 
-use std::{sync::Arc, time::Duration};
+use std::time::Duration;
 
 use jiff::SignedDuration;
 use sqlx::{Connection as _, PgConnection};
@@ -49,7 +49,7 @@ async fn an_endpoint_that_is_being_disabled_gets_no_message() {
     let mut disabling = connection.begin().await.expect("a transaction");
     let disabled = sqlx::query("UPDATE webhook_endpoints SET disabled_at = 1").execute(&mut *disabling).await;
     assert_eq!(disabled.expect("written").rows_affected(), 1);
-    let (store, new) = (Arc::clone(&fixture.store), fixture.new_job(1, ProjectId::DEFAULT, "a dataset"));
+    let (store, new) = (fixture.store.clone(), fixture.new_job(1, ProjectId::DEFAULT, "a dataset"));
     let creating = tokio::spawn(async move { store.create_job(new).await.expect("created") });
     let waiting = "SELECT count(*) FROM pg_stat_activity WHERE datname = current_database() AND wait_event_type = 'Lock'";
     eventually("the job waits for the endpoint, or is there", async || {

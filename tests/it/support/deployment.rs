@@ -130,7 +130,7 @@ impl Deployment {
             other => other.location(),
         };
         let store = Store::open_current(location, Arc::new(SystemClock), QueuePolicy::default());
-        let store = Arc::new(store.await.expect("a database"));
+        let store = store.await.expect("a database");
         let blobs = match &self.bucket {
             None => Blobs::open(self.data()).expect("a blob store"),
             Some((_, objects)) => {

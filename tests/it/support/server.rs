@@ -96,7 +96,7 @@ pub struct Server {
     pub address: SocketAddr,
     /// The metrics' own address, if they have one.
     pub metrics_address: Option<SocketAddr>,
-    pub store: Arc<Store>,
+    pub store: Store,
     /// How calls of the store fail.
     pub faults: Arc<PlannedFaults>,
     pub services: Services,
@@ -181,16 +181,16 @@ impl Server {
         let database_clock = setup.database_clock.unwrap_or_else(|| Arc::clone(&clock));
         let store = Store::open(database, database_clock, setup.policy).await.expect("a database");
         let blobs = match setup.bucket {
-            Some(bucket) => Blobs::open_bucket(data.path(), bucket, Arc::new(store.clone())).await,
+            Some(bucket) => Blobs::open_bucket(data.path(), bucket, store.clone()).await,
             None => Blobs::open(data.path()),
         };
         let blobs = blobs.expect("a blob store");
         let faults = Arc::new(PlannedFaults::default());
-        let store = Arc::new(store.with_faults(faults.clone()));
+        let store = store.with_faults(faults.clone());
         let (runner, renderer) = (FakeRunner::default(), FakeRenderer::default());
         let exporter = Arc::new(FakeExporter::default());
         let services = Services {
-            store: Arc::clone(&store),
+            store: store.clone(),
             blobs: blobs.clone(),
             clock,
             entropy: Arc::new(SystemRandom),
@@ -204,7 +204,7 @@ impl Server {
         let shutdown = CancellationToken::new();
         if setup.worker {
             let worker = worker::serve(
-                Arc::clone(&store),
+                store.clone(),
                 blobs,
                 Arc::new(runner.clone()),
                 quick_worker("test"),

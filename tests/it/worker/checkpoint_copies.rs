@@ -52,7 +52,7 @@ impl RunJob for OneRun {
 }
 
 struct Fixture {
-    store: Arc<Store>,
+    store: Store,
     blobs: Blobs,
     faults: FaultyBucket,
     found: Arc<Mutex<Vec<bool>>>,
@@ -64,7 +64,7 @@ impl Fixture {
     async fn new() -> Self {
         let database = Database::sqlite();
         let policy = QueuePolicy { hold_delay: Duration::ZERO, ..QueuePolicy::default() };
-        let store = Arc::new(database.open(Arc::new(SystemClock), policy).await);
+        let store = database.open(Arc::new(SystemClock), policy).await;
         let faults = FaultyBucket::new(Arc::new(InMemory::new()));
         let folder = tempfile::tempdir().expect("a folder");
         let blobs = Blobs::open_bucket(folder.path(), Arc::new(faults.clone()), store.clone());

@@ -43,7 +43,7 @@ async fn within<T>(future: impl Future<Output = T>) -> T {
 }
 
 struct Fixture {
-    store: Arc<Store>,
+    store: Store,
     blobs: Blobs,
     runner: FakeRunner,
     shutdown: CancellationToken,
@@ -58,10 +58,10 @@ impl Fixture {
     }
 
     fn start(&self, config: WorkerConfig) -> JoinHandle<Result<(), WorkerError>> {
-        self.start_on(Arc::clone(&self.store), config)
+        self.start_on(self.store.clone(), config)
     }
 
-    fn start_on(&self, store: Arc<Store>, config: WorkerConfig) -> JoinHandle<Result<(), WorkerError>> {
+    fn start_on(&self, store: Store, config: WorkerConfig) -> JoinHandle<Result<(), WorkerError>> {
         let blobs = self.blobs.clone();
         let runner = Arc::new(self.runner.clone());
         tokio::spawn(worker::serve(store, blobs, runner, config, self.shutdown.clone()))
@@ -71,7 +71,7 @@ impl Fixture {
     fn start_with_faults(&self, config: WorkerConfig) -> Arc<PlannedFaults> {
         let faults = Arc::new(PlannedFaults::default());
         let store = Store::clone(&self.store).with_faults(faults.clone());
-        self.start_on(Arc::new(store), config);
+        self.start_on(store, config);
         faults
     }
 
@@ -108,9 +108,9 @@ impl Drop for Fixture {
     }
 }
 
-async fn open(data: &Path) -> (Arc<Store>, Blobs) {
+async fn open(data: &Path) -> (Store, Blobs) {
     let store = Store::open(&data.join(DATABASE), Arc::new(SystemClock), quick_policy()).await;
-    (Arc::new(store.expect("a database")), Blobs::open(data).expect("a blob store"))
+    (store.expect("a database"), Blobs::open(data).expect("a blob store"))
 }
 
 #[cfg(unix)]
@@ -128,7 +128,7 @@ async fn a_worker_that_takes_its_time_to_die_is_found_without_another_start() {
         liveness_interval: Duration::from_millis(20),
         ..SuperviseConfig::program("sleep".into(), vec!["600".into()], 1)
     };
-    let supervisor = supervise(config, Arc::clone(&fixture.store), fixture.shutdown.clone());
+    let supervisor = supervise(config, fixture.store.clone(), fixture.shutdown.clone());
     let live = supervisor.live_workers();
     eventually("the child runs", async || !live.pids().is_empty()).await;
     assert!(workers.join("earlier").exists(), "its lock is held");
@@ -215,7 +215,7 @@ async fn a_retry_resumes_from_the_checkpoint_of_the_retried_job() {
     let repeat = |from_checkpoint| {
         let id = tcgs::domain::JobId(Uuid::now_v7());
         let repeat = RetryRequest { id, key: None, from_checkpoint, deadline_at: None, intent: None };
-        let store = Arc::clone(&fixture.store);
+        let store = fixture.store.clone();
         async move {
             store.retry_job(failed, repeat).await.expect("answered").expect("known");
             id
@@ -459,7 +459,7 @@ fn logging_child_process() {
         let (store, blobs) = open(&data).await;
         let stop = CancellationToken::new();
         let runner = Arc::new(FakeRunner::default());
-        let work = worker::serve(Arc::clone(&store), blobs, runner, quick_worker("w"), stop.clone());
+        let work = worker::serve(store.clone(), blobs, runner, quick_worker("w"), stop.clone());
         let watch = async {
             while store
                 .jobs(&tcgs::store::JobFilter::default(), None, 10)
@@ -547,7 +547,7 @@ fn kill(pid: u32) {
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn killing_the_worker_leaves_the_api_answering_and_the_job_is_run_again() {
     let fixture = Fixture::new().await;
-    let store = Arc::clone(&fixture.store);
+    let store = fixture.store.clone();
     let supervisor = supervise(child_config(fixture.data.path()), store, fixture.shutdown.clone());
     let live_workers = supervisor.live_workers();
     let api = api(&fixture, live_workers.clone());
@@ -578,7 +578,7 @@ async fn killing_the_worker_leaves_the_api_answering_and_the_job_is_run_again() 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn shutdown_lets_the_child_drain_and_release_its_job() {
     let fixture = Fixture::new().await;
-    let store = Arc::clone(&fixture.store);
+    let store = fixture.store.clone();
     let supervisor = supervise(child_config(fixture.data.path()), store, fixture.shutdown.clone());
     let id = fixture.add("wait").await;
     fixture.reaches(id, JobState::Running).await;
@@ -595,7 +595,7 @@ async fn a_child_that_does_not_exit_is_killed() {
     let arguments = vec!["-c".into(), "exec sleep 1000".into()];
     let mut config = SuperviseConfig::program("/bin/sh".into(), arguments, 2);
     config.grace = Duration::from_millis(10);
-    let supervisor = supervise(config, Arc::clone(&fixture.store), fixture.shutdown.clone());
+    let supervisor = supervise(config, fixture.store.clone(), fixture.shutdown.clone());
     let live_workers = supervisor.live_workers();
     assert_eq!(live_workers.expected(), 2);
     while live_workers.pids().len() < 2 {
@@ -616,7 +616,7 @@ async fn a_program_that_does_not_start_is_retried_and_does_not_end_the_api() {
     let mut config = SuperviseConfig::program(program.clone(), Vec::new(), 1);
     config.backoff_base = Duration::from_millis(1);
     config.grace = Duration::from_millis(10);
-    let supervisor = supervise(config, Arc::clone(&fixture.store), fixture.shutdown.clone());
+    let supervisor = supervise(config, fixture.store.clone(), fixture.shutdown.clone());
     let live_workers = supervisor.live_workers();
     let api = api(&fixture, live_workers.clone());
     let ready = async || {
@@ -640,7 +640,7 @@ async fn a_program_that_does_not_start_is_retried_and_does_not_end_the_api() {
 fn api(fixture: &Fixture, live_workers: LiveWorkers) -> axum::Router {
     use tcgs::http::{AppState, Services};
     let services = Services {
-        store: Arc::clone(&fixture.store),
+        store: fixture.store.clone(),
         blobs: fixture.blobs.clone(),
         clock: Arc::new(SystemClock),
         entropy: Arc::new(tcgs::domain::SystemRandom),

@@ -53,7 +53,7 @@ const BATCH: u32 = 500;
 #[derive(Clone)]
 pub(super) struct Bucket {
     objects: Arc<dyn ObjectStore>,
-    store: Arc<Store>,
+    store: Store,
     identity: Arc<str>,
 }
 
@@ -65,7 +65,7 @@ enum BlobContent<'a> {
 
 impl Bucket {
     /// Takes the bucket for the database of `store`.
-    pub(super) async fn open(objects: Arc<dyn ObjectStore>, store: Arc<Store>) -> Result<Self, BlobError> {
+    pub(super) async fn open(objects: Arc<dyn ObjectStore>, store: Store) -> Result<Self, BlobError> {
         let identity = store.claim_place(BlobPlace::Bucket).await?;
         // A database that has blobs has a bucket: another one, named by mistake, would be taken for it and lack all of them.
         if store.has_publications().await? {
@@ -77,10 +77,7 @@ impl Bucket {
     }
 
     /// Takes the bucket for the database of `store`, whichever had it before, with everything in it.
-    pub(super) async fn take_over(
-        objects: Arc<dyn ObjectStore>,
-        store: Arc<Store>,
-    ) -> Result<Self, BlobError> {
+    pub(super) async fn take_over(objects: Arc<dyn ObjectStore>, store: Store) -> Result<Self, BlobError> {
         let identity = store.claim_place(BlobPlace::Bucket).await?;
         marker::replace(&*objects, &identity).await?;
         let bucket = Self { objects, store, identity: identity.into() };

@@ -3,7 +3,7 @@
 //! An upload has one writer at a time among all processes, which renews its lock for as long as it lives. One that has lost the lock
 //! without noticing can save nothing any more.
 
-use std::{sync::Arc, time::Duration};
+use std::time::Duration;
 
 use futures_util::TryStreamExt as _;
 use jiff::Timestamp;
@@ -51,7 +51,7 @@ pub(in crate::store::blobs) struct BucketUpload {
 /// Renews a writer's lock until it is dropped, and then releases it.
 struct Lock {
     writer: UploadWriter,
-    store: Arc<Store>,
+    store: Store,
     renewing: JoinHandle<()>,
 }
 
@@ -62,8 +62,8 @@ impl std::fmt::Debug for Lock {
 }
 
 impl Lock {
-    fn new(writer: UploadWriter, store: Arc<Store>) -> Self {
-        let renewed = Arc::clone(&store);
+    fn new(writer: UploadWriter, store: Store) -> Self {
+        let renewed = store.clone();
         let renewing = tokio::spawn(async move {
             loop {
                 sleep(RENEW_EVERY).await;
@@ -79,7 +79,7 @@ impl Lock {
 impl Drop for Lock {
     fn drop(&mut self) {
         self.renewing.abort();
-        let (store, writer) = (Arc::clone(&self.store), self.writer);
+        let (store, writer) = (self.store.clone(), self.writer);
         // Where there is no runtime any more, it ends by itself.
         if let Ok(runtime) = Handle::try_current() {
             runtime.spawn(async move { store.unlock_upload(writer).await });
@@ -92,7 +92,7 @@ impl Bucket {
         let started = Instant::now();
         loop {
             if let Some(writer) = self.store.lock_upload(id).await? {
-                return Ok(Some(Lock::new(writer, Arc::clone(&self.store))));
+                return Ok(Some(Lock::new(writer, self.store.clone())));
             }
             if started.elapsed() >= LOCK_PATIENCE || !self.store.is_upload(id).await? {
                 return Ok(None);
