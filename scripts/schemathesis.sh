@@ -101,7 +101,9 @@ hold() {
         printf '\n[[operations]]\ninclude-path-regex = "^/v1/jobs/[{]id[}]"\nexclude-method = "DELETE"\n'
         printf 'parameters = { "path.id" = "%s", "header.Prefer" = "wait=1" }\n' "$job"
         printf '\n[[operations]]\ninclude-path = "/v1/jobs/{id}"\ninclude-method = "DELETE"\nparameters = { "path.id" = "%s" }\n' "$spare_job"
+        # Always the spare key, which an earlier request may have revoked: it need not be there after another one was made.
         printf '\n[[operations]]\ninclude-path = "/v1/keys/{id}"\nparameters = { "path.id" = "%s" }\n' "$spare_key"
+        printf 'checks.ensure_resource_availability.enabled = false\n'
         printf '\n[[operations]]\ninclude-path = "/v1/projects/{id}"\nparameters = { "path.id" = "%s" }\n' "$spare_project"
     } >"$scratch/schemathesis.toml"
     printf '\nschemathesis: %s, seed %s\n' "$config" "$seed"
