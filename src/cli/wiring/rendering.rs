@@ -21,7 +21,7 @@ pub(super) struct Rendering {
 }
 
 /// Renders in this process.
-pub(super) fn here(
+pub(super) fn local_rendering(
     adapter: &AdapterChoice,
     memory: u64,
     checker: DatasetChecker,
@@ -31,7 +31,7 @@ pub(super) fn here(
 }
 
 /// Leaves rendering to viewer processes.
-pub(super) async fn elsewhere(
+pub(super) async fn remote_rendering(
     store: &Store,
     shutdown: &CancellationToken,
     checker: DatasetChecker,

@@ -30,7 +30,7 @@ use tcgs::{
 use super::{
     first_key::FirstKey,
     private,
-    rendering::{Rendering, elsewhere, here},
+    rendering::{Rendering, local_rendering, remote_rendering},
     runtime::{run_until_stopped, runtime, stop_on_signals, unavailable},
 };
 use crate::cli::{CliError, files, logging::Format, storage::Storage};
@@ -114,9 +114,9 @@ pub(crate) fn serve(options: ServeOptions) -> Result<(), CliError> {
         let roots = webhook_roots(options.webhook_roots.as_deref())?;
         // The adapter and the address come before the database: a service that cannot start must not migrate the schema of one that runs.
         let checker = || DatasetChecker::new(config.limits.checks, config.limits.check_time);
-        let here = match options.remote_views {
+        let local = match options.remote_views {
             true => None,
-            false => Some(here(&options.adapter, options.view_memory, checker())?),
+            false => Some(local_rendering(&options.adapter, options.view_memory, checker())?),
         };
         let listeners = http::bind(&config, has_keys).await.map_err(|error| unavailable(&error))?;
         let store = open_store(&options.storage, options.limits, OlderSchema::Migrate).await?;
@@ -126,9 +126,11 @@ pub(crate) fn serve(options: ServeOptions) -> Result<(), CliError> {
         let blobs = open_blobs(&options.storage, &store).await?;
         private::close_all(&options.storage.data);
         let shutdown = stop_on_signals()?;
-        let Rendering { engine, watch } = match here {
-            Some(here) => here,
-            None => elsewhere(&store, &shutdown, checker()).await.map_err(|error| unavailable(&*error))?,
+        let Rendering { engine, watch } = match local {
+            Some(local) => local,
+            None => {
+                remote_rendering(&store, &shutdown, checker()).await.map_err(|error| unavailable(&*error))?
+            }
         };
 
         let mut children = supervise::SuperviseConfig::this_program(
