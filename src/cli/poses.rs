@@ -79,21 +79,13 @@ pub(crate) fn run(args: &Args) -> Result<Report, CliError> {
     let parent = args.output.parent().filter(|parent| !parent.as_os_str().is_empty());
     // Beside the output, so that the finished dataset is moved there at once.
     let work = work_folder(parent.unwrap_or(Path::new(".")))?;
-    let search = Search {
-        estimator: PoseEstimator {
-            python: find_python(args.python.as_deref()),
-            limits: PoseLimits {
-                memory_bytes: MemoryFlags::host(args.host_memory),
-                time: Duration::from_secs(60) * args.time_limit,
-            },
-        },
-        options: PoseOptions {
-            camera_model: args.camera_model.parse().map_err(CliError::Usage)?,
-            matching: args.matching.parse().map_err(CliError::Usage)?,
-            seed: args.seed,
-            threads: args.threads.map_or_else(all_threads, usize::from),
-        },
+    let options = PoseOptions {
+        camera_model: args.camera_model.parse().map_err(CliError::Usage)?,
+        matching: args.matching.parse().map_err(CliError::Usage)?,
+        seed: args.seed,
+        threads: args.threads.map_or_else(all_threads, usize::from),
     };
+    let search = Search::new(args.python.as_deref(), args.host_memory, args.time_limit, options);
     let (found, dataset) = search.dataset(&args.photographs, work.path(), &Interruption::listen())?;
     if is_zip {
         let mut archive =
@@ -127,21 +119,21 @@ impl Search {
     /// With what the flags of `tcgs poses` are by default.
     pub(super) fn usual() -> Self {
         let python = env::var_os("TCGS_POSES_PYTHON").filter(|path| !path.is_empty()).map(PathBuf::from);
-        Self {
-            estimator: PoseEstimator {
-                python: find_python(python.as_deref()),
-                limits: PoseLimits {
-                    memory_bytes: MemoryFlags::host(None),
-                    time: Duration::from_secs(60) * DEFAULT_MINUTES,
-                },
-            },
-            options: PoseOptions {
-                camera_model: CameraModel::SimpleRadial,
-                matching: Matching::Auto,
-                seed: 0,
-                threads: all_threads(),
-            },
-        }
+        let options = PoseOptions {
+            camera_model: CameraModel::SimpleRadial,
+            matching: Matching::Auto,
+            seed: 0,
+            threads: all_threads(),
+        };
+        Self::new(python.as_deref(), None, DEFAULT_MINUTES, options)
+    }
+
+    fn new(python: Option<&Path>, host_memory: Option<Bytes>, minutes: u32, options: PoseOptions) -> Self {
+        let limits = PoseLimits {
+            memory_bytes: MemoryFlags::host(host_memory),
+            time: Duration::from_secs(60) * minutes,
+        };
+        Self { estimator: PoseEstimator { python: find_python(python), limits }, options }
     }
 
     /// Finds the cameras of the photographs in a folder, and makes a dataset below `work`, which is empty.
