@@ -33,7 +33,7 @@ build: setup ## build target/release/tcgs
 demo: setup ## the bundled scene through the service: train, download, render into out/demo
 	@scripts/demo.sh
 
-poses: setup ## install pycolmap, through PyPI, with which `tcgs poses` finds the cameras of photographs
+poses: setup ## install pycolmap, through PyPI, and ffmpeg: with them jobs take photographs without cameras, and videos
 	@scripts/poses.sh
 
 # The runs of benches/$(1).toml, reported into out/$(1) and docs/$(2).md.

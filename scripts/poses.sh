@@ -1,5 +1,6 @@
 #!/usr/bin/env bash
-# Makes the private Python environment in which `tcgs poses` finds cameras: pycolmap and numpy, pinned by their hashes, through PyPI.
+# Makes the private Python environment in which jobs and `tcgs poses` find cameras: pycolmap and numpy, pinned by their hashes, through
+# PyPI. Installs ffmpeg too, which reads videos.
 #   scripts/poses.sh           makes it where `tcgs poses` looks for it, if it is not there
 #   scripts/poses.sh --where   also prints its interpreter
 set -euo pipefail
@@ -16,4 +17,5 @@ if ! cmp -s "$requirements" "$environment/requirements.txt"; then
     # Last, so that an interrupted installation is made again.
     cp "$requirements" "$environment/requirements.txt"
 fi
+scripts/setup.sh --for-videos >&2 || printf 'poses: without ffmpeg, videos cannot be read\n' >&2
 [ "${1:-}" != --where ] || printf '%s\n' "$environment/bin/python3"

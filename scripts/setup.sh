@@ -1,6 +1,7 @@
 #!/usr/bin/env bash
 # Installs what a fresh Debian-like machine lacks to build, test and run: a C compiler, curl, the Vulkan loader with
 # Mesa's software driver (lavapipe), and a Rust toolchain. Does nothing, silently, if all is present.
+#   scripts/setup.sh [--for-videos]   also ffmpeg, which reads videos
 #   scripts/setup.sh [--for-tests]    also programs that single tests need, or are skipped: Chromium, npm, systemd-analyze,
 #                                     PostgreSQL, Rust's WebAssembly target
 set -euo pipefail
@@ -57,6 +58,14 @@ install_basics() {
     say "installing ${missing[*]}"
     apt_update
     apt_install "${missing[@]}" >&2
+}
+
+install_for_videos() {
+    command -v ffmpeg >/dev/null && return 0
+    need_apt ffmpeg
+    say 'installing ffmpeg'
+    apt_update
+    apt_install ffmpeg >&2
 }
 
 install_for_tests() {
@@ -151,8 +160,10 @@ install_rust
 case ${1:-} in
 --for-tests)
     install_for_tests
+    install_for_videos
     scripts/wasm_cargo.sh --install || say "no compiler for WebAssembly; scripts/decoder.sh skips its check"
     ;;
+--for-videos) install_for_videos ;;
 "") ;;
 *) give_up "unknown argument $1" ;;
 esac

@@ -6,9 +6,10 @@ use serde::Serialize;
 use tcgs::{
     domain::{Problem, ProblemType},
     gpu::{self, AdapterReport},
+    poses::{NetworkIsolation, PoseProgram, ffmpeg_version},
 };
 
-use super::{CliError, Report, notice::notice};
+use super::{CliError, Report, camera_search::usual_camera_search, notice::notice};
 
 /// Arguments of `tcgs doctor`.
 #[derive(Debug, clap::Args)]
@@ -25,26 +26,34 @@ struct Machine {
     threads: usize,
     /// Best first; `--adapter auto` takes the first that is usable.
     adapters: Vec<AdapterReport>,
+    /// The program that finds cameras of photographs, if there is one.
+    cameras: Option<PoseProgram>,
+    /// The version of ffmpeg, if there is one.
+    ffmpeg: Option<String>,
     advice: Vec<String>,
 }
 
 /// Lists the adapters; fails with status 4 if none is usable.
 pub(crate) fn run(args: &Args) -> Result<Report, CliError> {
     let adapters = gpu::report();
-    let machine = Machine {
+    let search = usual_camera_search(None);
+    let mut machine = Machine {
         version: env!("CARGO_PKG_VERSION"),
         system: format!("{} {}", env::consts::OS, env::consts::ARCH),
         threads: thread::available_parallelism().map_or(1, usize::from),
         advice: advice(&adapters, env::var_os("XDG_RUNTIME_DIR").is_some()),
         adapters,
+        cameras: search.estimator.probe().ok(),
+        ffmpeg: ffmpeg_version(&search.estimator.ffmpeg).ok(),
     };
+    machine.advice.extend(camera_advice(&machine));
     if machine.adapters.iter().any(|adapter| adapter.usable) {
         return Ok(Report::new(text(&machine), &machine));
     }
     if !args.json {
         notice(text(&machine));
     }
-    let detail = machine.advice.join("; ");
+    let detail = advice(&machine.adapters, env::var_os("XDG_RUNTIME_DIR").is_some()).join("; ");
     Err(Problem::new(ProblemType::NoAdapter, detail).into())
 }
 
@@ -76,6 +85,22 @@ fn is_old_lavapipe(adapter: &AdapterReport) -> bool {
         && version.and_then(|major| major.parse().ok()).is_some_and(|v: u32| v < 24)
 }
 
+fn camera_advice(machine: &Machine) -> Vec<String> {
+    let mut advice = Vec::new();
+    match &machine.cameras {
+        None => advice.push("to train on photographs without cameras, install pycolmap: make poses".to_owned()),
+        Some(PoseProgram { network: NetworkIsolation::None, .. }) => advice.push(
+            "the system permits neither a network namespace nor a filter of system calls: pycolmap reads photographs with network access"
+                .to_owned(),
+        ),
+        Some(_) => {}
+    }
+    if machine.ffmpeg.is_none() {
+        advice.push("to train on videos, install ffmpeg: on Debian, apt-get install ffmpeg".to_owned());
+    }
+    advice
+}
+
 fn text(machine: &Machine) -> String {
     let mut lines =
         vec![format!("tcgs {}, {}, {} threads", machine.version, machine.system, machine.threads)];
@@ -105,6 +130,15 @@ fn text(machine: &Machine) -> String {
         ));
         lines.push(format!("  timestamps  {}", if adapter.timestamps { "yes" } else { "no" }));
     }
+    let cameras = machine.cameras.as_ref().map_or_else(
+        || "none".to_owned(),
+        |program| format!("pycolmap {}; kept off the network by: {}", program.version, program.network),
+    );
+    lines.push(format!("\ncameras     {cameras}"));
+    lines.push(format!(
+        "videos      {}",
+        machine.ffmpeg.as_ref().map_or("none".to_owned(), |v| format!("ffmpeg {v}"))
+    ));
     lines.extend(machine.advice.iter().map(|advice| format!("\nadvice: {advice}")));
     lines.join("\n")
 }

@@ -10,6 +10,7 @@ mod adapter;
 mod backup;
 mod bench;
 mod camera;
+mod camera_search;
 mod check;
 mod config;
 mod decode;

@@ -1,30 +1,32 @@
 //! `tcgs poses`: makes a dataset of photographs without cameras.
 
 use std::{
-    env, fs, io,
+    fs, io,
     path::{Path, PathBuf},
-    thread,
     time::{Duration, Instant},
 };
 
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use tcgs::{
     domain::{Bytes, Problem, ProblemType},
-    ingest,
     poses::{
-        CameraModel, Matching, PoseEstimator, PoseLimits, PoseOptions, PoseProgress, PoseReport, PoseStage,
-        PosesError, find_python, natural_order,
+        CameraModel, DEFAULT_FRAMES, Matching, PoseOptions, PoseProgress, PoseReport, PoseStage,
+        PosedDataset, PosesError,
     },
+    worker::CameraSearch,
 };
 use tempfile::TempDir;
 
-use super::{CliError, Report, memory::MemoryFlags, notice::notice, signals::Interruption, wiring};
+use super::{
+    CliError, Report,
+    camera_search::{DEFAULT_MINUTES, all_threads, camera_search},
+    notice::notice,
+    signals::Interruption,
+    wiring,
+};
 
 /// Time between two lines of one stage, where standard error is no terminal.
 const LINE_INTERVAL: Duration = Duration::from_secs(5);
-
-/// Minutes after which a search is given up.
-const DEFAULT_MINUTES: u32 = 240;
 
 /// Names of photographs without a camera that are printed.
 const NAMED: usize = 10;
@@ -32,7 +34,7 @@ const NAMED: usize = 10;
 /// Arguments of `tcgs poses`.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
-    /// Folder of photographs: JPEG, PNG or WebP, also in folders of its own
+    /// Folder or zip of photographs (JPEG, PNG or WebP), or a video (MP4 or MOV)
     photographs: PathBuf,
 
     /// The dataset to write: a new folder, or a new file whose name ends in .zip
@@ -46,6 +48,10 @@ pub(crate) struct Args {
     /// Pairs that are compared: exhaustive (all), sequential (for frames of a video), auto (all of up to 200 photographs)
     #[arg(long, default_value = "auto", value_parser = clap::builder::PossibleValuesParser::new(Matching::NAMES))]
     matching: String,
+
+    /// Frames of a video that are taken, at even steps, the sharpest of each
+    #[arg(long, value_name = "N", default_value_t = DEFAULT_FRAMES, value_parser = frames)]
+    frames: usize,
 
     /// Seed of all random numbers
     #[arg(long, value_name = "N", default_value_t = 0)]
@@ -84,9 +90,10 @@ pub(crate) fn run(args: &Args) -> Result<Report, CliError> {
         matching: args.matching.parse().map_err(CliError::Usage)?,
         seed: args.seed,
         threads: args.threads.map_or_else(all_threads, usize::from),
+        frames: args.frames,
     };
-    let search = Search::new(args.python.as_deref(), args.host_memory, args.time_limit, options);
-    let (found, dataset) = search.dataset(&args.photographs, work.path(), &Interruption::listen())?;
+    let search = camera_search(args.python.as_deref(), args.host_memory, args.time_limit, options);
+    let (found, dataset) = dataset(&search, &args.photographs, work.path(), &Interruption::listen())?;
     if is_zip {
         let mut archive =
             fs::File::create_new(&args.output).map_err(|error| CliError::unwritable(&args.output, &error))?;
@@ -105,75 +112,36 @@ pub(super) fn work_folder(parent: &Path) -> Result<TempDir, CliError> {
     folder.map_err(|error| CliError::unwritable(parent, &error))
 }
 
-fn all_threads() -> usize {
-    thread::available_parallelism().map_or(1, usize::from)
+/// Most frames of a video: with more, ffmpeg's choice of them has no place in a command line.
+const MAX_FRAMES: usize = 2000;
+
+fn frames(text: &str) -> Result<usize, String> {
+    let range = format!("is not 3 to {MAX_FRAMES}");
+    text.parse().ok().filter(|count| (3..=MAX_FRAMES).contains(count)).ok_or(range)
 }
 
-/// A search for cameras.
-pub(super) struct Search {
-    estimator: PoseEstimator,
-    options: PoseOptions,
-}
-
-impl Search {
-    /// With what the flags of `tcgs poses` are by default.
-    pub(super) fn usual() -> Self {
-        let python = env::var_os("TCGS_POSES_PYTHON").filter(|path| !path.is_empty()).map(PathBuf::from);
-        let options = PoseOptions {
-            camera_model: CameraModel::SimpleRadial,
-            matching: Matching::Auto,
-            seed: 0,
-            threads: all_threads(),
-        };
-        Self::new(python.as_deref(), None, DEFAULT_MINUTES, options)
-    }
-
-    fn new(python: Option<&Path>, host_memory: Option<Bytes>, minutes: u32, options: PoseOptions) -> Self {
-        let limits = PoseLimits {
-            memory_bytes: MemoryFlags::host(host_memory),
-            time: Duration::from_secs(60) * minutes,
-        };
-        Self { estimator: PoseEstimator { python: find_python(python), limits }, options }
-    }
-
-    /// Finds the cameras of the photographs in a folder, and makes a dataset below `work`, which is empty.
-    pub(super) fn dataset(
-        &self,
-        given: &Path,
-        work: &Path,
-        interruption: &Interruption,
-    ) -> Result<(PoseReport, PathBuf), CliError> {
-        let (folder, mut names) = photographs(given)?;
-        names.sort_by(|a, b| natural_order(a, b));
-        let mut display = Display::new();
-        let report = &mut |progress| display.show(progress);
-        let found =
-            self.estimator.estimate(&folder, &names, work, self.options, report, &interruption.cancel);
-        display.finish();
-        let found = found.map_err(|error| match error {
-            PosesError::Cancelled => interruption.error("nothing was written".to_owned()),
-            error => Problem::from(error).in_file(given.display().to_string()).into(),
-        })?;
-        let dataset = work.join("dataset");
-        assemble(&dataset, &folder, &found).map_err(|error| CliError::unwritable(&dataset, &error))?;
-        Ok((found, dataset))
-    }
-}
-
-/// The folder that the photographs are in, and their names below it.
-fn photographs(given: &Path) -> Result<(PathBuf, Vec<String>), CliError> {
-    let mut names =
-        ingest::photographs(given).map_err(|problem| problem.in_file(given.display().to_string()))?;
-    let mut folder = given.to_owned();
-    while let Some((first, _)) = names.first().and_then(|name| name.split_once('/')) {
-        let prefix = format!("{first}/");
-        if !names.iter().all(|name| name.starts_with(&prefix)) {
-            break;
+/// Finds the cameras of photographs or of a video, and makes a dataset below `work`, which is empty.
+pub(super) fn dataset(
+    search: &CameraSearch,
+    given: &Path,
+    work: &Path,
+    interruption: &Interruption,
+) -> Result<(PoseReport, PathBuf), CliError> {
+    let mut display = Display::new();
+    let report = &mut |progress| display.show(progress);
+    let CameraSearch { estimator, options } = search;
+    let found = estimator.dataset(given, work, *options, report, &interruption.cancel);
+    display.finish();
+    let PosedDataset { report, folder } = found.map_err(|error| match error {
+        PosesError::Cancelled => interruption.error("nothing was written".to_owned()),
+        error => {
+            let problem = Problem::from(error);
+            let is_named = problem.file.is_some();
+            let named = if is_named { problem } else { problem.in_file(given.display().to_string()) };
+            CliError::from(named)
         }
-        folder.push(first);
-        names.iter_mut().for_each(|name| *name = name[prefix.len()..].to_owned());
-    }
-    Ok((folder, names))
+    })?;
+    Ok((report, folder))
 }
 
 fn check_new(output: &Path) -> Result<(), CliError> {
@@ -186,19 +154,6 @@ fn check_new(output: &Path) -> Result<(), CliError> {
     }
     let detail = "the output exists; name a folder that is new or empty, or a new file".to_owned();
     Err(Problem::new(ProblemType::Exists, detail).in_file(output.display().to_string()).into())
-}
-
-/// Puts the registered photographs and the model into a folder, in COLMAP's layout. Photographs are linked where the file system can.
-fn assemble(dataset: &Path, folder: &Path, found: &PoseReport) -> io::Result<()> {
-    for name in &found.registered {
-        let to = dataset.join("images").join(name);
-        fs::create_dir_all(to.parent().unwrap_or(dataset))?;
-        if fs::hard_link(folder.join(name), &to).is_err() {
-            fs::copy(folder.join(name), &to)?;
-        }
-    }
-    fs::create_dir_all(dataset.join("sparse"))?;
-    fs::rename(&found.model, dataset.join("sparse/0"))
 }
 
 /// What was found, for people.
@@ -243,7 +198,7 @@ impl Display {
         }
     }
 
-    fn show(&mut self, PoseProgress { stage, done, total }: PoseProgress) {
+    fn show(&mut self, PoseProgress { stage, done, total, .. }: PoseProgress) {
         self.bar.set_prefix(stage.name());
         self.bar.set_length(total);
         self.bar.set_position(done);
@@ -262,25 +217,6 @@ impl Display {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn photographs_in_one_folder_have_names_below_it() {
-        let folder = tempfile::tempdir().expect("a folder");
-        let put = |name: &str| {
-            let path = folder.path().join(name);
-            fs::create_dir_all(path.parent().expect("a parent")).expect("a folder");
-            fs::write(path, b"").expect("a file");
-        };
-        put("take/images/a.jpg");
-        put("take/images/left/b.jpg");
-        let (root, mut names) = photographs(folder.path()).expect("readable");
-        names.sort_unstable();
-        assert_eq!(names, ["a.jpg", "left/b.jpg"]);
-        assert!(root.ends_with("take/images"));
-        put("c.png");
-        let (root, names) = photographs(folder.path()).expect("readable");
-        assert_eq!((root.as_path(), names.len()), (folder.path(), 3));
-    }
 
     #[test]
     fn an_output_is_new_or_an_empty_folder() {

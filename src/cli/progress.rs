@@ -44,8 +44,9 @@ impl Display {
         match self {
             Self::Bar(bar) => {
                 bar.set_prefix(phase.name());
-                bar.set_length(progress.total);
-                bar.set_position(progress.step);
+                let (done, total) = counts(progress);
+                bar.set_length(total);
+                bar.set_position(done);
                 bar.set_message(figures(progress));
             }
             Self::Lines { last } => {
@@ -71,8 +72,9 @@ fn is_due(last: Option<(Phase, f64)>, phase: Phase, progress: &Progress) -> bool
 
 fn line(phase: Phase, progress: &Progress) -> String {
     let mut text = format!("{:>6.1}s {}", progress.elapsed_seconds, phase.name());
-    if progress.total > 0 {
-        text.push_str(&format!(" {}/{}", progress.step, progress.total));
+    let (done, total) = counts(progress);
+    if total > 0 {
+        text.push_str(&format!(" {done}/{total}"));
     }
     let figures = figures(progress);
     if !figures.is_empty() {
@@ -82,9 +84,18 @@ fn line(phase: Phase, progress: &Progress) -> String {
     text
 }
 
-/// Loss, quality, size, speed and the time left, as far as known.
+/// Steps that are done and all steps; of the search for cameras, photographs or pairs.
+fn counts(progress: &Progress) -> (u64, u64) {
+    progress.poses.map_or((progress.step, progress.total), |poses| (poses.done, poses.total))
+}
+
+/// The stage of the search for cameras, or loss, quality, size, speed and the time left, as far as known.
 fn figures(progress: &Progress) -> String {
     let mut parts = Vec::new();
+    if let Some(poses) = progress.poses {
+        parts.push(poses.stage.name().to_owned());
+        parts.extend(poses.reprojection_error.map(|error| format!("reprojection error {error:.2} px")));
+    }
     if let Some(loss) = progress.loss {
         parts.push(format!("loss {loss:.4}"));
     }
@@ -127,6 +138,7 @@ mod tests {
             psnr: Some(24.317),
             ssim: None,
             bytes: Some(152_340),
+            poses: None,
             checkpoint_step: 0,
         }
     }

@@ -10,6 +10,7 @@ use tcgs::{
 use super::{
     CliError, Report,
     adapter::AdapterFlag,
+    camera_search::CameraFlags,
     config::ConfigFlags,
     limits::LimitFlags,
     logging::Format,
@@ -53,6 +54,9 @@ pub(crate) struct Args {
 
     #[command(flatten, next_help_heading = "Workers")]
     lpips: LpipsFlag,
+
+    #[command(flatten, next_help_heading = "Workers")]
+    cameras: CameraFlags,
 
     /// Worker processes to start; 0 if workers run elsewhere
     #[arg(long, value_name = "N", default_value_t = 1, env = "TCGS_WORKERS", help_heading = "Workers")]
@@ -177,6 +181,7 @@ pub(crate) fn run(args: Args, log_format: Format) -> Result<Report, CliError> {
         first_key_file: args.access.bootstrap_admin_key_file,
         adapter: args.adapter.adapter,
         lpips: args.lpips.lpips,
+        cameras: args.cameras,
         workers: args.workers,
         worker_nice: args.nice.value()?,
         memory: args.memory.limits(args.workers),

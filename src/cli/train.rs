@@ -14,18 +14,9 @@ use tcgs::{
 use tempfile::TempDir;
 
 use super::{
-    CliError, Report,
-    adapter::AdapterFlag,
-    files,
-    lpips::LpipsFlag,
-    memory::MemoryFlags,
-    notice::notice,
-    options::TrainFlags,
-    poses::{self, Search},
-    profile,
-    progress::Display,
-    signals::Interruption,
-    wiring,
+    CliError, Report, adapter::AdapterFlag, camera_search::usual_camera_search, files, lpips::LpipsFlag,
+    memory::MemoryFlags, notice::notice, options::TrainFlags, poses, profile, progress::Display,
+    signals::Interruption, wiring,
 };
 
 /// Arguments of `tcgs train`.
@@ -138,7 +129,8 @@ fn with_cameras(args: &Args, interruption: &Interruption) -> Result<Option<(Temp
     }
     notice("the photographs have no cameras, which are found first; `tcgs poses` keeps them");
     let work = poses::work_folder(&env::temp_dir())?;
-    let (found, dataset) = Search::usual().dataset(&args.dataset, work.path(), interruption)?;
+    let search = usual_camera_search(None);
+    let (found, dataset) = poses::dataset(&search, &args.dataset, work.path(), interruption)?;
     notice(poses::text(&found).trim_end());
     Ok(Some((work, dataset)))
 }

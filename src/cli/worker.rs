@@ -5,6 +5,7 @@ use std::time::Duration;
 use super::{
     CliError, Report,
     adapter::AdapterFlag,
+    camera_search::CameraFlags,
     config::ConfigFlags,
     limits::duration,
     lpips::LpipsFlag,
@@ -34,6 +35,9 @@ pub(crate) struct Args {
     lpips: LpipsFlag,
 
     #[command(flatten)]
+    cameras: CameraFlags,
+
+    #[command(flatten)]
     nice: WorkerPriorityFlag,
 
     #[command(flatten)]
@@ -56,6 +60,7 @@ pub(crate) fn run(args: Args) -> Result<Report, CliError> {
         adapter: args.adapter.adapter,
         memory: args.memory.limits(1),
         lpips: args.lpips.lpips,
+        cameras: args.cameras,
         max_running_jobs: args.running.max_running_jobs,
         stop_with_parent: args.stop_with_parent,
         checkpoint_every: args.checkpoint_every,

@@ -28,4 +28,4 @@ pub use random_source::{RandomError, RandomSource, SystemRandom};
 pub use viewer_token::ViewerToken;
 pub use webhook::WebhookEvent;
 pub use webhook_secret::WebhookSecret;
-pub use workers::{WorkerCounts, Workers};
+pub use workers::{Preparation, WorkerCounts, Workers};

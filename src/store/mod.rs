@@ -37,6 +37,7 @@ mod stats;
 pub mod uploads;
 mod viewers;
 mod webhooks;
+mod workers;
 
 pub use accounts::{Capacity, Usage};
 pub use backup::{BackupError, BackupNote, BucketClaim, DATABASE, back_up, restore};
@@ -72,6 +73,7 @@ pub use webhooks::{
     AfterAttempt, DeliveryRecord, DeliveryResult, DeliveryState, DueDelivery, EndpointRecord, NewEndpoint,
     Replay,
 };
+pub use workers::WORKER_LIFE;
 
 use futures_util::future::BoxFuture;
 use jiff::{SignedDuration, Timestamp};

@@ -5,8 +5,8 @@ use serde::{Deserialize, Serialize};
 
 use super::IdempotentRequest;
 use crate::domain::{
-    DatasetId, Digest, Job, JobId, JobMetrics, JobState, KeyId, Metadata, ModelKind, Problem, ProjectId,
-    SceneFormat, TrainOptions, named_choice,
+    DatasetId, Digest, Job, JobId, JobMetrics, JobState, KeyId, Metadata, ModelKind, Preparation, Problem,
+    ProjectId, SceneFormat, TrainOptions, named_choice,
 };
 
 /// A published blob, serialized as the API shows it.
@@ -40,6 +40,10 @@ pub struct NewJob {
     pub options: TrainOptions,
     /// The dataset archive, already published.
     pub dataset: BlobRef,
+    /// What the dataset needs before training.
+    pub needs: Preparation,
+    /// The photographs or the video that the dataset was made of, if its cameras were found here.
+    pub photographs: Option<Digest>,
     /// Higher runs first; the default is 0.
     pub priority: i32,
     /// Whether it may resume from the checkpoint of the job that it retries.
@@ -63,6 +67,8 @@ impl NewJob {
             deadline_at: None,
             options,
             dataset,
+            needs: Preparation::None,
+            photographs: None,
             priority: 0,
             from_checkpoint: false,
             intent: None,
@@ -79,6 +85,9 @@ pub enum ArtifactKind {
     /// Pictures of held-out views ([`crate::domain::HeldOut`]) as JSON, for the report.
     #[serde(rename = "held_out")]
     HeldOut,
+    /// COLMAP's model of the cameras that were found, as a zip archive.
+    #[serde(rename = "sparse_model")]
+    SparseModel,
     /// The finished scene.
     #[serde(untagged)]
     Scene(SceneFormat),
@@ -91,6 +100,7 @@ impl ArtifactKind {
         match self {
             ArtifactKind::Cameras => "cameras",
             ArtifactKind::HeldOut => "held_out",
+            ArtifactKind::SparseModel => "sparse_model",
             ArtifactKind::Scene(format) => format.name(),
         }
     }
@@ -139,8 +149,12 @@ pub struct JobRecord {
     pub deadline_at: Option<Timestamp>,
     /// As in [`NewJob::priority`].
     pub priority: i32,
-    /// Its dataset archive.
+    /// Its dataset archive; once cameras were found, the one with them.
     pub dataset: BlobRef,
+    /// As in [`NewJob::needs`]; nothing once cameras were found.
+    pub needs: Preparation,
+    /// As in [`NewJob::photographs`].
+    pub photographs: Option<Digest>,
     /// Its artifacts; empty unless it succeeded. Files of a rate-distortion curve are in its order.
     pub artifacts: Vec<Artifact>,
 }
@@ -158,7 +172,7 @@ impl JobRecord {
             ArtifactKind::Scene(format) => {
                 Some(SceneArtifact { format, lambda: artifact.lambda, blob: artifact.blob })
             }
-            ArtifactKind::Cameras | ArtifactKind::HeldOut => None,
+            ArtifactKind::Cameras | ArtifactKind::HeldOut | ArtifactKind::SparseModel => None,
         })
     }
 }
@@ -225,6 +239,10 @@ pub struct Claim {
     pub lease: Lease,
     /// The dataset archive.
     pub dataset: Digest,
+    /// What the dataset needs before training.
+    pub needs: Preparation,
+    /// Whether the dataset's cameras were found here.
+    pub is_posed: bool,
     /// The job's options.
     pub options: TrainOptions,
     /// The job whose checkpoint it may resume from if it has none of its own.

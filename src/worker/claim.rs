@@ -6,10 +6,8 @@ use tokio::time::{Instant, sleep};
 use tokio_util::sync::CancellationToken;
 
 use super::{
-    WorkerConfig, WorkerError,
-    attempt::{WorkerDeps, run_attempt},
-    checkpoint_copies, checkpoints,
-    liveness::LivenessLock,
+    WorkerConfig, WorkerError, attempt::run_attempt, capabilities::Capabilities, checkpoint_copies,
+    checkpoints, deps::WorkerDeps, liveness::LivenessLock,
 };
 use crate::{
     domain::{FailurePoint, failure_point::reach},
@@ -45,6 +43,7 @@ pub async fn serve(
             .ok()
     });
     tracing::info!(worker = config.id, "worker {} is ready", config.id);
+    let capabilities = Capabilities::announce(&store, &config);
     let deps = WorkerDeps { store, blobs, runner, config };
     let sweep = async || {
         if let Some(root) = &deps.config.checkpoints {
@@ -58,7 +57,7 @@ pub async fn serve(
     let mut swept = sweep().await;
     let mut changes = deps.store.changes(ChangeKind::Queue);
     while !shutdown.is_cancelled() {
-        match deps.store.claim(&deps.config.id).await {
+        match deps.store.claim_for(&deps.config.id, capabilities.known()).await {
             Ok(Some(claim)) => {
                 reach(FailurePoint::AfterClaim);
                 run_attempt(&deps, claim, &shutdown).await?;
@@ -79,6 +78,7 @@ pub async fn serve(
             () = shutdown.cancelled() => {}
         }
     }
+    capabilities.withdraw().await;
     tracing::info!(worker = deps.config.id, "worker {} has stopped", deps.config.id);
     Ok(())
 }

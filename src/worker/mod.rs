@@ -9,10 +9,15 @@
 //! died with the one before (`liveness`).
 
 mod attempt;
+mod capabilities;
 mod checkpoint_copies;
 mod checkpoints;
 mod claim;
+mod deps;
+mod lease_keeper;
 mod liveness;
+mod outcomes;
+mod preparation;
 mod publication;
 mod series_buffer;
 mod storage;
@@ -25,6 +30,7 @@ use tokio_util::sync::CancellationToken;
 use uuid::Uuid;
 
 pub use claim::serve;
+pub use preparation::CameraSearch;
 
 use crate::domain::JobId;
 
@@ -59,6 +65,10 @@ pub struct WorkerConfig {
     pub republish_every: Duration,
     /// Folder of the lock files of live workers ([`supervise::SuperviseConfig::liveness_dir`]).
     pub liveness_dir: Option<PathBuf>,
+    /// How cameras of photographs are found; without it, jobs that need that are left to other workers.
+    pub cameras: Option<CameraSearch>,
+    /// How often the worker is announced; well below [`crate::store::WORKER_LIFE`].
+    pub announce_every: Duration,
 }
 
 impl WorkerConfig {
@@ -83,6 +93,8 @@ impl WorkerConfig {
             copy_checkpoints_every: Duration::from_secs(10),
             republish_every: Duration::from_secs(300),
             liveness_dir: None,
+            cameras: None,
+            announce_every: Duration::from_secs(20),
         }
     }
 }

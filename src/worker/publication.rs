@@ -15,6 +15,13 @@ use crate::{
     store::{Artifact, ArtifactKind, BlobError, Blobs, Outcome},
 };
 
+/// What a job is finished with.
+pub(super) struct Finished {
+    pub(super) output: JobOutput,
+    /// COLMAP's model as a zip archive, if its cameras were found here.
+    pub(super) sparse_model: Option<Vec<u8>>,
+}
+
 /// The end of an attempt that is to be recorded.
 pub(super) struct Ending {
     pub(super) outcome: Outcome,
@@ -54,8 +61,8 @@ impl Ending {
 }
 
 /// Makes the output's blobs durable; only then may the job refer to them.
-pub(super) async fn publish(blobs: &Blobs, output: JobOutput) -> Ending {
-    let contents = match contents(&output) {
+pub(super) async fn publish(blobs: &Blobs, finished: Finished) -> Ending {
+    let contents = match contents(&finished) {
         Ok(contents) => contents,
         Err(error) => {
             tracing::error!("JSON cannot be written: {error}");
@@ -75,18 +82,22 @@ pub(super) async fn publish(blobs: &Blobs, output: JobOutput) -> Ending {
         reach(FailurePoint::AfterPublish);
     }
     Ending {
-        outcome: Outcome::Succeeded { metrics: Box::new(output.metrics), artifacts },
+        outcome: Outcome::Succeeded { metrics: Box::new(finished.output.metrics), artifacts },
         publication: Some(Publication { contents: published, started }),
     }
 }
 
 /// Kind, weight of the rate term and content of every artifact: the files, and the cameras and held-out views as JSON.
-fn contents(output: &JobOutput) -> serde_json::Result<Vec<(ArtifactKind, Option<f64>, Bytes)>> {
+fn contents(finished: &Finished) -> serde_json::Result<Vec<(ArtifactKind, Option<f64>, Bytes)>> {
+    let Finished { output, sparse_model } = finished;
     let file = |(lambda, file)| (ArtifactKind::Scene(output.format), lambda, Bytes::copy_from_slice(file));
     let mut contents: Vec<_> = output.files().map(file).collect();
     contents.push((ArtifactKind::Cameras, None, serde_json::to_vec(&output.cameras)?.into()));
     if let Some(held_out) = &output.held_out {
         contents.push((ArtifactKind::HeldOut, None, serde_json::to_vec(held_out)?.into()));
+    }
+    if let Some(model) = sparse_model {
+        contents.push((ArtifactKind::SparseModel, None, Bytes::copy_from_slice(model)));
     }
     Ok(contents)
 }

@@ -13,7 +13,9 @@ use std::{
 
 use futures_util::future::OptionFuture;
 use tcgs::{
-    domain::{MemoryLimits, OutboundPolicy, Problem, ProblemType, ProjectLimits, SystemClock, SystemRandom},
+    domain::{
+        Bytes, MemoryLimits, OutboundPolicy, Problem, ProblemType, ProjectLimits, SystemClock, SystemRandom,
+    },
     gpu::{AdapterChoice, driver_cache},
     http::{self, HttpConfig, Services},
     https::ExtraRoots,
@@ -33,7 +35,7 @@ use super::{
     rendering::{Rendering, local_rendering, remote_rendering},
     runtime::{run_until_stopped, runtime, stop_on_signals, unavailable},
 };
-use crate::cli::{CliError, files, logging::Format, storage::Storage};
+use crate::cli::{CliError, camera_search::CameraFlags, files, logging::Format, storage::Storage};
 
 /// Name of the folder for the checkpoints of running jobs in the data folder.
 const CHECKPOINTS: &str = "checkpoints";
@@ -65,6 +67,8 @@ pub(crate) struct ServeOptions {
     pub(crate) remote_views: bool,
     /// Weights of LPIPS, for the workers.
     pub(crate) lpips: Option<PathBuf>,
+    /// Programs that find cameras, for the workers.
+    pub(crate) cameras: CameraFlags,
     /// Worker processes to start.
     pub(crate) workers: u16,
     /// Niceness of workers.
@@ -88,6 +92,8 @@ pub(crate) struct WorkerOptions {
     pub(crate) memory: MemoryLimits,
     /// Weights of LPIPS.
     pub(crate) lpips: Option<PathBuf>,
+    /// Programs that find cameras.
+    pub(crate) cameras: CameraFlags,
     /// Most running jobs of a project without a limit of its own.
     pub(crate) max_running_jobs: Option<u32>,
     /// Whether to stop when standard input closes, which it does when the parent process dies.
@@ -210,7 +216,8 @@ pub(crate) fn worker(options: WorkerOptions) -> Result<(), CliError> {
         let checkpoints = Some(options.storage.data.join(CHECKPOINTS));
         // Only a supervisor reads it; other workers are known by their leases.
         let liveness_dir = options.stop_with_parent.then(|| options.storage.data.join(WORKERS));
-        let config = WorkerConfig { checkpoints, liveness_dir, ..WorkerConfig::from_environment() };
+        let cameras = Some(options.cameras.search(Bytes(options.memory.host)));
+        let config = WorkerConfig { checkpoints, liveness_dir, cameras, ..WorkerConfig::from_environment() };
         let outcome = worker::serve(store.clone(), blobs, runner, config, shutdown).await;
         store.close().await;
         outcome.map_err(|error| CliError::from(Problem::new(ProblemType::Stalled, error.to_string())))
@@ -328,8 +335,12 @@ fn worker_arguments(options: &ServeOptions) -> Vec<OsString> {
     if let Some(max) = options.limits.max_running_jobs {
         arguments.extend(["--max-running-jobs".into(), max.to_string().into()]);
     }
-    if let Some(lpips) = &options.lpips {
-        arguments.extend(["--lpips".into(), lpips.clone().into()]);
+    let CameraFlags { poses_python, ffmpeg } = &options.cameras;
+    for (flag, file) in [("--lpips", &options.lpips), ("--poses-python", poses_python), ("--ffmpeg", ffmpeg)]
+    {
+        if let Some(file) = file {
+            arguments.extend([flag.into(), file.clone().into()]);
+        }
     }
     arguments
 }

@@ -10,7 +10,7 @@ use serde::Deserialize;
 use super::{
     find,
     naming::Naming,
-    received::{ReceivedDataset, receive},
+    received::{ARCHIVES, ReceivedDataset, receive},
     representation,
 };
 use crate::{
@@ -73,11 +73,11 @@ pub(crate) async fn create(
     let mut body = body.into_data_stream();
     expect_no_coding(&headers)?;
     let outcome = match media_type(&headers).as_deref() {
-        Some("application/zip" | "application/x-zip-compressed") => from_archive(request, &mut body).await?,
+        Some(given) if ARCHIVES.contains(&given) => from_archive(request, &mut body).await?,
         Some("application/json") => from_upload(request, &mut body).await?,
         given => {
             let detail = format!(
-                "the Content-Type is {}; send application/zip, or application/json with the id of an upload",
+                "the Content-Type is {}; send application/zip, video/mp4 or video/quicktime, or application/json with the id of an upload",
                 given.unwrap_or("missing")
             );
             return Err(ProblemType::UnsupportedMediaType.because(detail));

@@ -24,6 +24,10 @@ use crate::{
     },
 };
 
+/// Media types of datasets: archives and videos.
+pub(crate) const ARCHIVES: [&str; 4] =
+    ["application/zip", "application/x-zip-compressed", "video/mp4", "video/quicktime"];
+
 /// A completely received dataset.
 #[derive(Debug)]
 pub(crate) struct ReceivedDataset {

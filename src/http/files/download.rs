@@ -33,6 +33,7 @@ impl File {
         let point = lambda.map_or_else(String::new, |lambda| format!(".lambda-{lambda}"));
         let name = match kind {
             ArtifactKind::Scene(format) => format!("{job}{point}.{}", format.extension()),
+            ArtifactKind::SparseModel => format!("{job}.{}.zip", kind.name()),
             _ => format!("{job}.{}.json", kind.name()),
         };
         Self { blob, media_type: media_type(kind), name }
@@ -49,6 +50,7 @@ impl From<FileRecord> for File {
 pub(crate) fn media_type(kind: ArtifactKind) -> &'static str {
     match kind {
         ArtifactKind::Scene(format) => format.media_type(),
+        ArtifactKind::SparseModel => "application/zip",
         _ => "application/json",
     }
 }

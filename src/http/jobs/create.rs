@@ -13,10 +13,10 @@ use super::{
     representation,
 };
 use crate::{
-    domain::{Caller, Digest, FailurePoint, JobId, ProblemType, failure_point::reach},
+    domain::{Caller, Digest, FailurePoint, JobId, Layout, Preparation, ProblemType, failure_point::reach},
     http::{
-        datasets::received::receive,
-        problem::{ApiResult, ProblemResponse},
+        datasets::received::{ARCHIVES, receive},
+        problem::{Answer as _, ApiResult, ProblemResponse},
         request::{
             CreateOutcome, CreateRequest, Parameters, Resource, expect_media_type, idempotency, idempotent,
             media_type, prefer, read_json,
@@ -36,7 +36,7 @@ pub(crate) async fn create(
     headers: HeaderMap,
     body: Body,
 ) -> ApiResult {
-    expect_media_type(&headers, &["application/zip", "application/x-zip-compressed", JSON])?;
+    expect_media_type(&headers, &[&ARCHIVES[..], &[JSON]].concat())?;
     let request = CreateRequest { state: &state, caller, uri: &uri, headers: &headers };
     let mut body = body.into_data_stream();
     let outcome = if media_type(&headers).as_deref() == Some(JSON) {
@@ -91,7 +91,8 @@ async fn from_scene(
         let scene = scene.ok_or_else(|| ProblemResponse::no_scene(id))?;
         state.reservations.require_free_space(0)?;
         // An administrator's request may name another project's scene.
-        let job = NewJob { project: scene.project, ..new_job(request, wanted, scene.dataset).await? };
+        let dataset = (scene.dataset, scene.summary.layout);
+        let job = NewJob { project: scene.project, ..new_job(request, wanted, dataset).await? };
         Ok(state.store().create_job(NewJob { dataset_id: Some(id), intent: intent.clone(), ..job }).await)
     };
     idempotent(request, intent.clone(), create).await
@@ -108,8 +109,8 @@ async fn from_archive(
     let received = receive(state, caller.project, headers, body).await?;
     let intent = request.intent(guard.as_ref(), received.blob().digest);
     let create = async {
-        let (received, _) = received.check(state).await?;
-        let job = new_job(request, wanted, received.blob()).await?;
+        let (received, summary) = received.check(state).await?;
+        let job = new_job(request, wanted, (received.blob(), summary.layout)).await?;
         let job = NewJob { intent: intent.clone(), ..job };
         let store = state.services.store.clone();
         received.keep(state, async move { store.create_job(job).await }).await
@@ -120,10 +121,13 @@ async fn from_archive(
 async fn new_job(
     request: CreateRequest<'_>,
     wanted: CreateJobRequest,
-    dataset: BlobRef,
+    (dataset, layout): (BlobRef, Layout),
 ) -> ApiResult<NewJob> {
     let CreateRequest { state, caller, .. } = request;
+    let needs = Preparation::of(layout);
+    expect_worker(state, needs).await?;
     Ok(NewJob {
+        needs,
         project: caller.project,
         key: caller.key,
         name: wanted.name,
@@ -132,6 +136,23 @@ async fn new_job(
         deadline_at: deadline(state, wanted.deadline_s).await?,
         ..NewJob::new(JobId(state.services.new_uuid()), wanted.options, dataset)
     })
+}
+
+/// Refuses a job that no live worker can prepare. If none is known, one may start later.
+async fn expect_worker(state: &AppState, needs: Preparation) -> ApiResult<()> {
+    if needs == Preparation::None {
+        return Ok(());
+    }
+    match state.store().best_worker().await? {
+        Some(Preparation::None) => Err(ProblemType::PosesUnavailable.because(
+            "the dataset has no cameras, and no worker of this service can find them: install pycolmap for one (`make poses`), or send \
+             cameras with the photographs",
+        )),
+        Some(can) if can < needs => Err(ProblemType::VideoUnavailable.because(
+            "no worker of this service can read videos: install ffmpeg for one, or send photographs",
+        )),
+        _ => Ok(()),
+    }
 }
 
 impl Resource for JobRecord {

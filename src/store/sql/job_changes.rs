@@ -54,6 +54,8 @@ pub(super) async fn retry_of(
         priority: record.priority,
         from_checkpoint,
         intent,
+        needs: record.needs,
+        photographs: record.photographs,
         ..NewJob::new(new, record.job.options, record.dataset)
     })))
 }

@@ -7,7 +7,7 @@ use super::{
     queue::{self, Claiming},
 };
 use crate::{
-    domain::{FailurePoint, JobId, failure_point::reach},
+    domain::{FailurePoint, JobId, Preparation, failure_point::reach},
     store::{
         Claim, StoreError, WorkerDeath,
         leases::{LeaseRow, LeaseWatch},
@@ -28,9 +28,13 @@ impl Store {
         Ok(expired)
     }
 
-    pub(super) async fn claim_next(&self, worker: &str) -> Result<Option<(LeaseRow, Claim)>, StoreError> {
+    pub(super) async fn claim_next(
+        &self,
+        worker: &str,
+        can: Preparation,
+    ) -> Result<Option<(LeaseRow, Claim)>, StoreError> {
         let expired = self.expired().await?;
-        if expired.is_empty() && !self.anything_due().await? {
+        if expired.is_empty() && !self.anything_due(can).await? {
             return Ok(None);
         }
         // Each in a transaction of its own: each locks the projects that it changes at once.
@@ -38,7 +42,7 @@ impl Store {
         self.fail_overdue().await?;
         loop {
             let claimed = self.write(async move |tx, now| {
-                let claimed = queue::claim(tx, &self.policy, worker, now).await?;
+                let claimed = queue::claim(tx, &self.policy, worker, can, now).await?;
                 if matches!(claimed, Claiming::Granted(_)) {
                     reach(FailurePoint::BeforeClaim);
                 }

@@ -38,6 +38,7 @@ pub static SQLITE: LazyLock<Migrator> = migrations! {
         "0017_series_ssim",
         "0018_publications",
         "0019_viewers",
+        "0020_poses",
 };
 
 /// Migrations of PostgreSQL databases.
@@ -46,6 +47,7 @@ pub static POSTGRES: LazyLock<Migrator> = migrations! {
         "0001_schema",
         "0002_publications",
         "0003_viewers",
+        "0004_poses",
 };
 
 /// A migrator that records each file under its version and description.

@@ -37,6 +37,7 @@ mod upkeep;
 mod uploads;
 mod viewers;
 mod webhooks;
+mod workers;
 
 use std::{
     fmt::Display,
@@ -52,7 +53,8 @@ use super::{
     StoreError, StoreFuture, WorkerDeath, leases::LeaseWatch,
 };
 use crate::domain::{
-    Clock, Event, EventKind, FailurePoint, JobId, JobState, Phase, Progress, failure_point::reach,
+    Clock, Event, EventKind, FailurePoint, JobId, JobState, Phase, Preparation, Progress,
+    failure_point::reach,
 };
 use changes::Listener;
 use db::{Pool, Row, Sql, Target, Transaction, query, values};
@@ -151,7 +153,7 @@ impl Store {
     async fn insert_job(
         &self,
         tx: &mut Transaction,
-        new: NewJob,
+        mut new: NewJob,
         now: Timestamp,
     ) -> Result<JobRecord, StoreError> {
         if let Some(intent) = &new.intent {
@@ -160,6 +162,16 @@ impl Store {
             idempotency::remember(tx, intent, CREATED, &id, keep, now).await?;
         }
         locks::project(tx, new.project).await?;
+        if new.needs > Preparation::None
+            && let Some(posed) = queue::posed_dataset(tx, new.project, new.dataset.digest).await?
+        {
+            new = NewJob {
+                photographs: Some(new.dataset.digest),
+                dataset: posed,
+                needs: Preparation::None,
+                ..new
+            };
+        }
         let limits = self.policy.limits;
         accounts::admit_job(tx, limits.max_active_jobs, new.project).await?;
         accounts::admit_blob(tx, limits.quota_bytes, new.project, new.dataset).await?;
@@ -175,14 +187,15 @@ impl Store {
         insert_blob(tx, new.dataset, now).await?;
         query(
             "INSERT INTO jobs (id, project, owner, name, metadata, scene, retry_of, deadline_at, dataset, options, state, phase,
-                 progress, priority, run_after, max_attempts, from_checkpoint, created_at)
-             VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, 'queued', 'queued', ?, ?, 0, ?, ?, ?)",
+                 progress, priority, run_after, max_attempts, from_checkpoint, created_at, needs, photographs)
+             VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, 'queued', 'queued', ?, ?, 0, ?, ?, ?, ?, ?)",
         )
         .bind_all(values![new.id.to_string(), new.project.to_string(), new.key.map(|key| key.to_string())])
         .bind_all(values![&new.name, text(&new.metadata)?, new.dataset_id.map(|id| id.to_string())])
         .bind_all(values![new.retry_of.map(|job| job.to_string()), new.deadline_at.map(micros)])
         .bind_all(values![new.dataset.digest.to_string(), text(&new.options)?, text(&Progress::default())?])
         .bind_all(values![new.priority, self.policy.max_attempts, new.from_checkpoint, micros(now)])
+        .bind_all(values![rows::preparation_place(new.needs), new.photographs.map(|of| of.to_string())])
         .execute(&mut *tx)
         .await?;
         let data = json!({ "state": JobState::Queued });
@@ -202,9 +215,9 @@ impl Store {
     }
 
     /// Whether a claim could find a job, so that idle polling takes no write lock.
-    async fn anything_due(&self) -> Result<bool, StoreError> {
+    async fn anything_due(&self, can: Preparation) -> Result<bool, StoreError> {
         let now = self.now(&self.readers).await?;
-        Ok(queue::next(&self.readers, &self.policy, now, RowLock::None).await?.is_some())
+        Ok(queue::next(&self.readers, &self.policy, can, now, RowLock::None).await?.is_some())
     }
 }
 
@@ -397,14 +410,25 @@ impl Store {
         })
     }
 
-    /// Grants `worker` a job that is due: of projects that run fewer jobs than they may, those with the highest priority; of these, one of
+    /// As [`Store::claim_for`], for a worker that trains alone.
+    pub fn claim<'a>(&'a self, worker: &'a str) -> StoreFuture<'a, Option<Claim>> {
+        self.claim_for(worker, Preparation::None)
+    }
+
+    /// Grants `worker` a job that is due and needs at most the preparation `can`: of projects that run fewer jobs than they may, those with the highest priority; of these, one of
     /// the project with the fewest running jobs, or of those the one whose latest claim is longest ago; the oldest first. Expires leases
     /// first, as [`Store::expire_leases`].
-    pub fn claim<'a>(&'a self, worker: &'a str) -> StoreFuture<'a, Option<Claim>> {
+    pub fn claim_for<'a>(&'a self, worker: &'a str, can: Preparation) -> StoreFuture<'a, Option<Claim>> {
         self.call("claim").run(async move {
-            let claimed = self.claim_next(worker).await;
+            let claimed = self.claim_next(worker, can).await;
             self.track_lease(claimed.map(Option::unzip))
         })
+    }
+
+    /// Makes `dataset`, an archive that is already published, the dataset of the job: it has the cameras of the job's photographs.
+    pub fn use_posed_dataset<'a>(&'a self, lease: &'a Lease, dataset: BlobRef) -> StoreFuture<'a, ()> {
+        self.call("use_posed_dataset")
+            .run(self.write(async move |tx, now| queue::use_posed_dataset(tx, lease, dataset, now).await))
     }
 
     /// Renews a lease, and returns whether the job is to stop.

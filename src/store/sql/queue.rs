@@ -8,10 +8,12 @@ use super::{
     select_job,
 };
 use crate::{
-    domain::{EventKind, JobId, JobMetrics, JobState, Phase, Problem, Progress, ProjectId},
+    domain::{
+        Digest, EventKind, JobId, JobMetrics, JobState, Phase, Preparation, Problem, Progress, ProjectId,
+    },
     store::{
-        AttemptRecord, Cancellation, Claim, Heartbeat, Lease, MAX_QUEUE_POSITION, Outcome, QueuePolicy,
-        SHOWN_ATTEMPTS, StoreError, WorkerDeath,
+        AttemptRecord, BlobRef, Cancellation, Claim, Heartbeat, Lease, MAX_QUEUE_POSITION, Outcome,
+        QueuePolicy, SHOWN_ATTEMPTS, StoreError, WorkerDeath,
         leases::LeaseRow,
         retry::{AttemptEnd, AttemptState, NextState, decide},
     },
@@ -79,7 +81,7 @@ async fn end_lost(
     Ok(lost.len() as u64)
 }
 
-/// The next job that is due at `?1`, where projects without a limit of their own run at most `?2` jobs. Each project offers its best one,
+/// The next job that is due at `?1` and needs at most the preparation `?3`, where projects without a limit of their own run at most `?2` jobs. Each project offers its best one,
 /// found through an index, so the cost grows with the projects that have queued jobs, not with those.
 const NEXT: Sql = Sql {
     sqlite: "
@@ -88,7 +90,7 @@ const NEXT: Sql = Sql {
     JOIN jobs AS best ON best.id = (
         SELECT waiting.id FROM jobs AS waiting INDEXED BY jobs_to_claim
         WHERE waiting.project = totals.project AND waiting.state = 'queued'
-            AND (waiting.run_after <= ?1 OR waiting.waits_since > ?1)
+            AND (waiting.run_after <= ?1 OR waiting.waits_since > ?1) AND waiting.needs <= ?3
         ORDER BY waiting.priority DESC, waiting.created_at, waiting.id LIMIT 1)
     WHERE totals.queued_jobs > 0
         AND totals.running_jobs < COALESCE(projects.max_running_jobs, ?2, totals.running_jobs + 1)
@@ -100,7 +102,7 @@ const NEXT: Sql = Sql {
     CROSS JOIN LATERAL (
         SELECT waiting.id, waiting.priority, waiting.created_at FROM jobs AS waiting
         WHERE waiting.project = totals.project AND waiting.state = 'queued'
-            AND (waiting.run_after <= ?1 OR waiting.waits_since > ?1)
+            AND (waiting.run_after <= ?1 OR waiting.waits_since > ?1) AND waiting.needs <= ?3
         ORDER BY waiting.priority DESC, waiting.created_at, waiting.id LIMIT 1) AS best
     WHERE totals.queued_jobs > 0
         AND totals.running_jobs < COALESCE(projects.max_running_jobs, ?2, totals.running_jobs + 1)
@@ -108,13 +110,14 @@ const NEXT: Sql = Sql {
     LIMIT 1",
 };
 
-/// On PostgreSQL, the next job of project `?3` alone, whose totals are locked, as in [`NEXT`].
+/// On PostgreSQL, the next job of project `?4` alone, whose totals are locked, as in [`NEXT`].
 const NEXT_OF_PROJECT: &str = "
     SELECT waiting.id FROM jobs AS waiting
-    WHERE waiting.project = ?3 AND waiting.state = 'queued' AND (waiting.run_after <= ?1 OR waiting.waits_since > ?1)
+    WHERE waiting.project = ?4 AND waiting.state = 'queued' AND (waiting.run_after <= ?1 OR waiting.waits_since > ?1)
+        AND waiting.needs <= ?3
         AND EXISTS (
             SELECT 1 FROM project_totals AS totals JOIN projects ON projects.id = totals.project
-            WHERE totals.project = ?3
+            WHERE totals.project = ?4
                 AND totals.running_jobs < COALESCE(projects.max_running_jobs, ?2, totals.running_jobs + 1))
     ORDER BY waiting.priority DESC, waiting.created_at, waiting.id LIMIT 1
     FOR NO KEY UPDATE OF waiting SKIP LOCKED";
@@ -155,10 +158,11 @@ pub(super) fn statements() -> [Sql; 3] {
     [NEXT, LATEST_ATTEMPTS.into(), AHEAD]
 }
 
-/// The job that a claim would grant now, and its project.
+/// The job that a claim of a worker that can do `can` would grant now, and its project.
 pub(super) async fn next(
     on: impl Into<Target<'_>>,
     policy: &QueuePolicy,
+    can: Preparation,
     now: Timestamp,
     lock: RowLock,
 ) -> Result<Option<(JobId, ProjectId)>, StoreError> {
@@ -166,7 +170,9 @@ pub(super) async fn next(
     if lock == RowLock::SkipLocked {
         next.push(Sql { sqlite: "", postgres: " FOR UPDATE OF totals SKIP LOCKED" });
     }
-    next.bind(micros(now)).bind(policy.limits.max_running_jobs).optional(on, rows::job_and_project).await
+    next.bind_all(values![micros(now), policy.limits.max_running_jobs, rows::preparation_place(can)])
+        .optional(on, rows::job_and_project)
+        .await
 }
 
 /// What a transaction found to claim.
@@ -181,16 +187,17 @@ pub(super) enum Claiming<T> {
 async fn take_next(
     tx: &mut Transaction,
     policy: &QueuePolicy,
+    can: Preparation,
     now: Timestamp,
 ) -> Result<Claiming<JobId>, StoreError> {
     if !tx.is_postgres() {
-        let next = next(tx, policy, now, RowLock::None).await?;
+        let next = next(tx, policy, can, now, RowLock::None).await?;
         return Ok(next.map_or(Claiming::NothingDue, |(job, _)| Claiming::Granted(job)));
     }
-    let project = match next(&mut *tx, policy, now, RowLock::SkipLocked).await? {
+    let project = match next(&mut *tx, policy, can, now, RowLock::SkipLocked).await? {
         Some((_, project)) => project,
         // All projects with something to claim are locked, for the moment that another claim takes.
-        None => match next(&mut *tx, policy, now, RowLock::None).await? {
+        None => match next(&mut *tx, policy, can, now, RowLock::None).await? {
             Some((_, project)) => {
                 locks::project(tx, project).await?;
                 project
@@ -200,7 +207,8 @@ async fn take_next(
     };
     // Another claim may have taken the job that was found before the totals were locked.
     let row = query(NEXT_OF_PROJECT)
-        .bind_all(values![micros(now), policy.limits.max_running_jobs, project.to_string()])
+        .bind_all(values![micros(now), policy.limits.max_running_jobs, rows::preparation_place(can)])
+        .bind(project.to_string())
         .fetch_optional(tx)
         .await?;
     row.map_or(Ok(Claiming::Overtaken), |row| rows::job_id(&row).map(Claiming::Granted))
@@ -230,14 +238,15 @@ pub(super) async fn latest_attempts(
     rows.iter().rev().map(rows::attempt).collect()
 }
 
-/// Grants the next job to `worker`.
+/// Grants the next job to `worker`, which can do `can`.
 pub(super) async fn claim(
     connection: &mut Transaction,
     policy: &QueuePolicy,
     worker: &str,
+    can: Preparation,
     now: Timestamp,
 ) -> Result<Claiming<(LeaseRow, Claim)>, StoreError> {
-    let job = match take_next(connection, policy, now).await? {
+    let job = match take_next(connection, policy, can, now).await? {
         Claiming::Granted(job) => job,
         Claiming::NothingDue => return Ok(Claiming::NothingDue),
         Claiming::Overtaken => return Ok(Claiming::Overtaken),
@@ -247,7 +256,7 @@ pub(super) async fn claim(
              charged = charged + 1, lease_owner = ?2, lease_until = ?3, started_at = ?4, progress_event_at = NULL,
              version = version + 1
          WHERE id = ?5
-         RETURNING id, attempt, lease_until, dataset, options, retry_of, from_checkpoint",
+         RETURNING id, attempt, lease_until, dataset, needs, photographs, options, retry_of, from_checkpoint",
     )
     .bind_all(values![text(&Progress::default())?, worker, micros(after(now, policy.lease)), micros(now)])
     .bind(job.to_string())
@@ -264,6 +273,8 @@ pub(super) async fn claim(
     let claim = Claim {
         lease: Lease { job, attempt, worker: worker.to_owned() },
         dataset: rows::dataset(&row)?,
+        needs: rows::preparation(&row, "needs")?,
+        is_posed: row.try_get::<Option<&str>>("photographs")?.is_some(),
         options: rows::options(&row)?,
         resume_from: rows::resume_from(&row)?,
     };
@@ -363,6 +374,42 @@ pub(super) async fn report(
         append(connection, lease.job, EventKind::Progress, lease.attempt, &data, now).await?;
     }
     Ok(())
+}
+
+/// Makes `dataset`, which has the cameras of the job's photographs, the dataset of the job. That is progress of its attempt, as a checkpoint
+/// is.
+pub(super) async fn use_posed_dataset(
+    connection: &mut Transaction,
+    lease: &Lease,
+    dataset: BlobRef,
+    now: Timestamp,
+) -> Result<(), StoreError> {
+    locks::job(connection, lease.job).await?;
+    leased_job(connection, lease).await?;
+    insert_blob(connection, dataset, now).await?;
+    query(
+        "UPDATE jobs SET photographs = dataset, dataset = ?, needs = 0, checkpoint_step = checkpoint_step + 1, version = version + 1
+         WHERE id = ?",
+    )
+    .bind_all(values![dataset.digest.to_string(), lease.job.to_string()])
+    .execute(connection)
+    .await?;
+    Ok(())
+}
+
+/// The dataset with the cameras of photographs that a job of the project found before.
+pub(super) async fn posed_dataset(
+    connection: &mut Transaction,
+    project: ProjectId,
+    photographs: Digest,
+) -> Result<Option<BlobRef>, StoreError> {
+    query(
+        "SELECT jobs.dataset, blobs.bytes FROM jobs JOIN blobs ON blobs.digest = jobs.dataset
+         WHERE jobs.project = ? AND jobs.photographs = ? ORDER BY jobs.created_at DESC LIMIT 1",
+    )
+    .bind_all(values![project.to_string(), photographs.to_string()])
+    .optional(connection, |row| rows::blob(row, "dataset"))
+    .await
 }
 
 /// The job's row if the lease is held; else [`StoreError::LeaseLost`].

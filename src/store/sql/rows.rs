@@ -5,8 +5,8 @@ use std::{io, str::FromStr, time::Duration};
 use super::db::Row;
 use crate::{
     domain::{
-        Digest, EndpointId, Event, EventKind, ExportFidelity, Job, JobId, JobState, ProjectId, SeriesPoint,
-        WebhookEvent, WebhookSecret,
+        Digest, EndpointId, Event, EventKind, ExportFidelity, Job, JobId, JobState, Preparation, ProjectId,
+        SeriesPoint, WebhookEvent, WebhookSecret,
     },
     store::{
         Artifact, ArtifactKind, AttemptRecord, BlobRef, DeliveryRecord, DueDelivery, EndpointRecord,
@@ -142,6 +142,18 @@ pub(super) fn resume_from(row: &Row) -> Result<Option<JobId>, StoreError> {
     Ok(optional_parsed(row, "retry_of")?.filter(|_| may))
 }
 
+/// What a dataset needs, or a worker can do.
+pub(super) fn preparation(row: &Row, column: &'static str) -> Result<Preparation, StoreError> {
+    let place: usize = integer(row, column)?;
+    let found = Preparation::ALL.get(place).copied();
+    found.ok_or_else(|| corrupt(column)(format!("{place} is out of range")))
+}
+
+/// The place of [`Preparation`] in its order, as the database has it.
+pub(super) fn preparation_place(preparation: Preparation) -> i64 {
+    preparation as i64
+}
+
 pub(super) fn dataset(row: &Row) -> Result<Digest, StoreError> {
     parsed("dataset", row.try_get("dataset")?)
 }
@@ -188,6 +200,8 @@ pub(super) fn job(row: &Row, parts: JobParts) -> Result<JobRecord, StoreError> {
         deadline_at: optional_instant(row, "deadline_at")?,
         priority: integer(row, "priority")?,
         dataset: blob(row, "dataset")?,
+        needs: preparation(row, "needs")?,
+        photographs: optional_parsed(row, "photographs")?,
         artifacts: parts.artifacts,
     })
 }

@@ -94,10 +94,10 @@ fn photographs_that_tell_nothing_and_outputs_that_exist_are_refused() {
     assert_eq!((status, &refused["type"]), (Some(3), &Value::from("urn:tcgs:problem:too-few-photographs")));
     let (status, refused) = problem(&["poses", &given, "-o", &given]);
     assert_eq!((status, &refused["type"]), (Some(3), &Value::from("urn:tcgs:problem:exists")));
-    // Training names the command that finds cameras.
     let (_, refused) = problem(&["check", &given]);
-    assert!(refused["detail"].as_str().expect("a detail").contains("tcgs poses"), "{refused:#}");
+    assert_eq!(refused["type"], "urn:tcgs:problem:too-few-photographs");
     gray.save(photographs.join("2.png")).expect("writes");
+    assert_eq!(answers(["check", &given, "--json"])["layout"], "photographs");
     let (status, refused) = problem(&["poses", &given, "-o", &output, "--python", "/no/python"]);
     assert_eq!((status, &refused["type"]), (Some(4), &Value::from("urn:tcgs:problem:poses-unavailable")));
     if has_pycolmap() {
@@ -109,4 +109,44 @@ fn photographs_that_tell_nothing_and_outputs_that_exist_are_refused() {
     }
     assert!(!Path::new(&output).exists());
     assert_eq!(fs::read_dir(folder.path()).expect("a folder").count(), 1, "nothing is left behind");
+}
+
+#[cfg(unix)]
+#[test]
+fn frames_of_a_video_are_photographs_and_a_broken_one_is_refused() {
+    use std::{os::unix::fs::PermissionsExt as _, process::Command};
+
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = |name: &str| folder.path().join(name).to_str().expect("UTF-8").to_owned();
+    let video = path("walk.mp4");
+    let made = Command::new("ffmpeg")
+        .args(["-loglevel", "error", "-f", "lavfi", "-i", "testsrc=duration=2:rate=10:size=320x240"])
+        .args(["-c:v", "mpeg4", &video])
+        .status();
+    if !made.is_ok_and(|status| status.success()) {
+        skip("there is no ffmpeg: scripts/setup.sh --for-videos");
+        return;
+    }
+    // An interpreter that tells the request, and whether its photographs are there.
+    let script = r#"#!/bin/sh
+        folder=$(sed -n 's/.*"photographs":"\([^"]*\)".*/\1/p' "$3")
+        names=$(sed -n 's/.*"names":\[\([^]]*\)\].*/\1/p' "$3" | tr -d '"')
+        matching=$(sed -n 's/.*"matching":"\([^"]*\)".*/\1/p' "$3")
+        echo "{\"failure\": \"no-overlap\", \"detail\": \"$matching of $names; $(ls "$folder" | wc -l) files\"}"
+    "#;
+    let python = path("python");
+    fs::write(&python, script).expect("a script");
+    fs::set_permissions(&python, fs::Permissions::from_mode(0o755)).expect("executable");
+    let search =
+        |video: &str| problem(&["poses", video, "-o", &path("new"), "--frames", "3", "--python", &python]).1;
+    let told = search(&video);
+    let detail = told["detail"].as_str().expect("a detail");
+    let frames = "frame_00001.jpg,frame_00002.jpg,frame_00003.jpg";
+    assert!(detail.starts_with(&format!("sequential of {frames}; 3 files")), "{told:#}");
+    assert_eq!(answers(["check", &video, "--json"])["layout"], "video");
+
+    let broken = path("broken.mov");
+    fs::write(&broken, b"\0\0\0\x14ftypqt  \0\0\0\0qt  and nothing more").expect("written");
+    assert_eq!(search(&broken)["type"], "urn:tcgs:problem:video-rejected");
+    assert!(!Path::new(&path("new")).exists());
 }

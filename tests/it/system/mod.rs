@@ -15,6 +15,7 @@ mod hostile_uploads;
 mod io_faults;
 mod killed;
 mod machines;
+mod photographs;
 mod postgres;
 mod power_cuts;
 mod presets;

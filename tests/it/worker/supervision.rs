@@ -497,7 +497,8 @@ async fn every_log_line_of_a_job_names_it() {
     let lines = log.lines().filter_map(|line| serde_json::from_str::<Value>(line).ok());
     let of_jobs = |line: &Value| {
         let target = line["target"].as_str().expect("a target");
-        ["tcgs::worker::attempt", "tcgs::worker::storage"].contains(&target) || target.starts_with("it::")
+        ["tcgs::worker::attempt", "tcgs::worker::outcomes", "tcgs::worker::storage"].contains(&target)
+            || target.starts_with("it::")
     };
     let lines: Vec<Value> = lines.filter(of_jobs).collect();
     for (job, attempts, said) in [

@@ -131,6 +131,8 @@ problem_types! {
     PosesTimedOut = 507, "poses-timed-out", "Cameras were not found in time";
     PosesFailed = 500, "poses-failed", "The search for cameras failed";
     PosesUnavailable = 503, "poses-unavailable", "Cameras cannot be found here";
+    VideoRejected = 422, "video-rejected", "A video is unusable";
+    VideoUnavailable = 503, "video-unavailable", "Videos cannot be read here";
     TrainingFailed = 422, "training-failed", "Training failed";
     MemoryBudget = 507, "memory-budget", "Not enough memory";
     MaxBytesUnreachable = 507, "max-bytes-unreachable", "The file cannot be made so small";

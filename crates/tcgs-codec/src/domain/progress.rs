@@ -16,6 +16,8 @@ named_choice! {
         Queued = "queued",
         /// Reading and checking the dataset.
         Ingest = "ingest",
+        /// Finding the cameras of photographs that have none.
+        Poses = "poses",
         /// Training.
         Train = "train",
         /// Writing the file.
@@ -27,6 +29,34 @@ named_choice! {
         /// Nothing left to do.
         Done = "done",
     }
+}
+
+named_choice! {
+    /// A part of the search for cameras.
+    pub enum PoseStage {
+        /// Frames are taken from a video.
+        Frames = "frames",
+        /// Distinct points of each photograph are found.
+        Features = "features",
+        /// Pairs of photographs are compared.
+        Matches = "matches",
+        /// Photographs are registered, one after the other.
+        Mapping = "mapping",
+    }
+}
+
+/// Progress of the search for cameras.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct PoseProgress {
+    /// The part of the search.
+    pub stage: PoseStage,
+    /// Frames, photographs, pairs or registered photographs that are done; pairs of sequential matching are an estimate.
+    pub done: u64,
+    /// Of how many.
+    pub total: u64,
+    /// Mean distance of points from where photographs show them, in pixels, once the cameras are found.
+    #[serde(default)]
+    pub reprojection_error: Option<f64>,
 }
 
 /// A report of progress, as the API and the progress bar show it.
@@ -55,6 +85,8 @@ pub struct Progress {
     pub ssim: Option<f64>,
     /// Estimated bytes of the file, once training measures them.
     pub bytes: Option<u64>,
+    /// The search for cameras, in the phase `poses`.
+    pub poses: Option<PoseProgress>,
     /// Iteration of the newest checkpoint, 0 before the first. Only the queue uses it, to see whether an attempt made progress.
     #[serde(skip)]
     pub checkpoint_step: u64,

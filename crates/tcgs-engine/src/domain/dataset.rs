@@ -24,6 +24,18 @@ named_choice! {
         Nerfstudio = "nerfstudio",
         /// `sparse/0` with cameras, images and points3D, binary or text.
         Colmap = "colmap",
+        /// Photographs without cameras, which are found before training.
+        Photographs = "photographs",
+        /// A video, of which photographs are taken and cameras found before training.
+        Video = "video",
+    }
+}
+
+impl Layout {
+    /// Whether cameras are to be found before there is anything to train on.
+    #[must_use]
+    pub fn lacks_cameras(self) -> bool {
+        matches!(self, Self::Photographs | Self::Video)
     }
 }
 

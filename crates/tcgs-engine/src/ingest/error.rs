@@ -6,6 +6,7 @@ use std::io;
 
 use thiserror::Error;
 
+use super::limits::Limits;
 use crate::domain::{Bytes, CameraError, Problem, ProblemType};
 
 /// Longest file name repeated in a message; names in an upload may be up to 64 KiB long.
@@ -141,6 +142,27 @@ pub enum IngestErrorKind {
         /// Photographs that are there.
         photographs: usize,
     },
+    /// Too few photographs to find their cameras.
+    #[error(
+        "there are {0} photographs without cameras, which are found of {least} or more; 50 and more, taken all around, make a \
+         good scene",
+        least = Limits::MIN_PHOTOGRAPHS
+    )]
+    TooFewPhotographs(usize),
+    /// Too many photographs to find their cameras.
+    #[error("there are {count} photographs; cameras are found of at most {limit}")]
+    TooManyPhotographs {
+        /// How many there are.
+        count: usize,
+        /// Most that are accepted.
+        limit: usize,
+    },
+    /// A second video.
+    #[error("is a second video; send each alone, or take photographs from both first")]
+    SeveralVideos,
+    /// Not the container that the extension says.
+    #[error("is not an MP4 or QuickTime video")]
+    NotAVideo,
     /// A file that the layout needs is not there.
     #[error("the file is missing; {0}")]
     MissingFile(&'static str),
@@ -421,6 +443,7 @@ impl IngestErrorKind {
             | Self::FileTooLarge { .. }
             | Self::CompressionRatio { .. }
             | Self::SideTooLong { .. }
+            | Self::TooManyPhotographs { .. }
             | Self::TooManyPixels { .. }
             | Self::TooManyScenePixels { .. } => ProblemType::DatasetTooLarge,
             Self::Json(_)
@@ -441,7 +464,10 @@ impl IngestErrorKind {
             | Self::ImageHeader { .. }
             | Self::ImageSize { .. }
             | Self::ImageRotated { .. } => ProblemType::ImageRejected,
+            Self::TooFewPhotographs(_) => ProblemType::TooFewPhotographs,
             Self::NoLayout { .. }
+            | Self::SeveralVideos
+            | Self::NotAVideo
             | Self::MissingFile(_)
             | Self::MissingImages { .. }
             | Self::NoImages

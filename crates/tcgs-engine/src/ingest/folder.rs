@@ -28,6 +28,21 @@ impl FileSource for Folder {
     }
 }
 
+/// Lists the file at `path` alone, by the name `name`.
+///
+/// # Errors
+/// [`IngestErrorKind::Io`].
+pub(super) fn single(path: &Path, name: String) -> Result<Listing> {
+    let bytes = fs::metadata(path)?.len();
+    Ok(Listing {
+        files: vec![(name, bytes)],
+        special: Vec::new(),
+        names: NameEncoding::Utf8,
+        skipped: 0,
+        source: Box::new(Folder { paths: vec![path.to_owned()] }),
+    })
+}
+
 /// Lists all regular files under `root`.
 ///
 /// Names that are not UTF-8, or that no dataset could refer to, are skipped and counted: a directory may contain anything.

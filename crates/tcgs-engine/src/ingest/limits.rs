@@ -35,6 +35,9 @@ impl Limits {
     /// Frames that a table may list, and cameras. Each takes about 2 KiB of memory while a dataset is checked.
     pub const FRAMES: usize = 20_000;
 
+    /// Fewest photographs of which cameras can be found.
+    pub const MIN_PHOTOGRAPHS: usize = 3;
+
     /// Bytes of all file names together that a table may list.
     pub const NAME_BYTES: usize = 6 << 20;
 

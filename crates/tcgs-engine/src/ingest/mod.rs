@@ -32,19 +32,22 @@ mod masks;
 mod names;
 mod orientation;
 mod pack;
-mod photographs;
 mod plan;
 mod ply;
 mod points;
+mod provenance;
 mod sampling;
 mod semaphore;
 mod source;
+mod sparse_model;
 mod spill;
 mod survey;
 mod table_reader;
 mod transforms;
 mod tree;
+mod unposed;
 mod unused;
+mod video;
 
 #[cfg(test)]
 mod fixtures;
@@ -63,7 +66,9 @@ pub use self::{
     error::{IngestError, IngestErrorKind, MissingHint},
     limits::Limits,
     pack::pack,
-    photographs::photographs,
+    provenance::POSES_RECORD,
+    sparse_model::sparse_model,
+    unposed::Unposed,
 };
 use self::{
     deadline::Deadline,
@@ -142,12 +147,10 @@ pub fn check(path: &Path) -> Result<DatasetSummary, Problem> {
     Ok(check_within(path, &Limits::default())?)
 }
 
-/// Whether `path` is a folder of photographs that no file says the cameras of.
+/// Whether `path` has photographs, or a video, that no file says the cameras of.
 #[must_use]
 pub fn lacks_cameras(path: &Path) -> bool {
-    let checked = path.is_dir().then(|| check_within(path, &Limits::default()));
-    let kind = checked.and_then(Result::err).map(|error| error.kind);
-    matches!(kind, Some(IngestErrorKind::NoLayout { photographs: 1.. }))
+    check(path).is_ok_and(|summary| summary.layout.lacks_cameras())
 }
 
 /// The cameras of a dataset's frames, in the order of [`Dataset::frames`], checked as [`check`] does.
@@ -177,8 +180,13 @@ pub fn check_oriented(
 ) -> Result<(DatasetSummary, Vec<NamedCamera>), Problem> {
     let decode_bytes = LoadBudget::default().memory_bytes;
     let options = SurveyOptions { orientation, decode_bytes, should_continue: &|| true };
-    let survey = survey_for(Purpose::Load, path, &Limits::default(), &options)?;
-    Ok((survey.summary(), survey.into_cameras()))
+    match survey_for(Purpose::Load, path, &Limits::default(), &options) {
+        Ok(survey) => Ok((survey.summary(), survey.into_cameras())),
+        Err(error) if is_without_layout(&error) => {
+            Ok((unposed::check(Deadline::NONE, path, &Limits::default())?, Vec::new()))
+        }
+        Err(error) => Err(error.into()),
+    }
 }
 
 /// As [`load_cancellable`], within other limits.
@@ -301,5 +309,14 @@ fn check_by(deadline: Deadline, path: &Path, limits: &Limits) -> Result<DatasetS
     // No pixel is decoded: the memory of a check has a bound that one photograph exceeds.
     let options =
         SurveyOptions { orientation: ExifOrientation::Auto, decode_bytes: 0, should_continue: &|| true };
-    Ok(survey_for(Purpose::Check(deadline), path, limits, &options)?.summary())
+    match survey_for(Purpose::Check(deadline), path, limits, &options) {
+        Ok(survey) => Ok(survey.summary()),
+        Err(error) if is_without_layout(&error) => unposed::check(deadline, path, limits),
+        Err(error) => Err(error),
+    }
+}
+
+/// Whether files are in no dataset's layout.
+fn is_without_layout(error: &IngestError) -> bool {
+    matches!(error.kind, IngestErrorKind::NoLayout { .. })
 }

@@ -43,7 +43,7 @@ pub fn pack(folder: &Path, archive: &mut (impl Write + Seek)) -> Result<(), Prob
     rest.flush().map_err(|error| unwritable(&ZipError::Io(error)))
 }
 
-fn options(name: &str, length: u64) -> SimpleFileOptions {
+pub(super) fn options(name: &str, length: u64) -> SimpleFileOptions {
     let packed = name
         .rsplit_once('.')
         .is_some_and(|(_, extension)| PACKED.iter().any(|packed| packed.eq_ignore_ascii_case(extension)));

@@ -19,7 +19,7 @@ use super::{
     orientation::{Comparison, Decision, Evidence, EvidenceCounts, MAX_COMPARED, Reading, Unknown, evidence},
     plan::{Plan, PlannedFrame},
     points::Points,
-    transforms,
+    provenance, transforms,
     tree::Tree,
     unused::{Taken, note_unused},
 };
@@ -175,6 +175,7 @@ pub(super) fn survey(
     })??;
     refuse_masks(&tree, &plan.listed.iter().map(String::as_str).collect())?;
     let Plan { layout, lenses, frames, points, listed, listings, noted, mut notes } = plan;
+    notes.extend(provenance::note(&tree));
     let taken = Taken { listed: &listed, noted: &noted, listings: &listings };
     note_unused(&tree, &taken, &mut notes);
 

@@ -25,6 +25,7 @@ use super::{
     names::{is_os_metadata, normalized, safe_name},
     points::Points,
     source::{FileSource, Listing, NameEncoding},
+    video,
 };
 use crate::domain::Digest;
 
@@ -70,7 +71,7 @@ struct Entry {
 }
 
 impl Tree {
-    /// Opens a directory or a zip archive, whichever `path` is.
+    /// Opens a directory, a zip archive or a video, whichever `path` is.
     ///
     /// # Errors
     /// Those of the path, of the archive's structure and of its limits.
@@ -81,6 +82,8 @@ impl Tree {
         let faults = DiskFaults::default();
         let listing = if metadata.is_dir() {
             folder::list(path, limits)?
+        } else if let Some(name) = video::name_of(path) {
+            folder::single(path, name)?
         } else {
             archive::list(path, limits, purpose.deadline(), &faults).map_err(|error| faults.or(error))?
         };

@@ -13,14 +13,20 @@ use std::{
 
 use serde::{Deserialize, Serialize};
 
-use super::{MIN_PHOTOGRAPHS, PoseLimits, PoseOptions, PoseProgress, PoseReport, PoseStage, PosesError};
-use crate::domain::CancelFlag;
+use super::{NetworkIsolation, PoseLimits, PoseOptions, PoseProgram, PoseProgress, PoseReport, PosesError};
+use crate::{
+    domain::CancelFlag,
+    ingest::{IngestErrorKind, Limits},
+};
 
 /// The program that the child runs.
 const SCRIPT: &str = include_str!("estimate_poses.py");
 
 /// How often the caller's wish to stop is looked at.
 const POLL: Duration = Duration::from_millis(100);
+
+/// Time after which progress is reported again while it stays the same.
+const REPORT_AGAIN: Duration = Duration::from_secs(30);
 
 /// Most bytes of the child's own messages that an error repeats.
 const MAX_MESSAGE: u64 = 1000;
@@ -42,6 +48,8 @@ pub fn find_python(chosen: Option<&Path>) -> PathBuf {
 pub struct PoseEstimator {
     /// A Python that has pycolmap.
     pub python: PathBuf,
+    /// The program that takes frames of videos.
+    pub ffmpeg: PathBuf,
     /// What the child may use.
     pub limits: PoseLimits,
 }
@@ -62,10 +70,10 @@ struct Request<'a> {
 #[derive(Debug, Deserialize)]
 #[serde(untagged)]
 enum Line {
-    Progress { stage: PoseStage, done: u64, total: u64 },
+    Progress(PoseProgress),
     Result { result: Found },
     Failure { failure: String, detail: String },
-    Program { version: String, network: String },
+    Program(PoseProgram),
 }
 
 #[derive(Debug, Deserialize)]
@@ -79,6 +87,27 @@ struct Found {
 }
 
 impl PoseEstimator {
+    /// Runs pycolmap for nothing but its version and the means that keep it off the network.
+    ///
+    /// # Errors
+    /// [`PosesError::Unavailable`].
+    pub fn probe(&self) -> Result<PoseProgram, PosesError> {
+        let unavailable = |detail| PosesError::Unavailable { python: self.python.clone(), detail };
+        let asked =
+            Command::new(&self.python).args(["-I", "-c", SCRIPT, "--probe"]).stdin(Stdio::null()).output();
+        let asked = asked.map_err(|error| unavailable(error.to_string()))?;
+        let lines = String::from_utf8_lossy(&asked.stdout).into_owned();
+        for line in lines.lines() {
+            match serde_json::from_str(line) {
+                Ok(Line::Program(program)) => return Ok(program),
+                Ok(Line::Failure { detail, .. }) => return Err(unavailable(detail)),
+                _ => {}
+            }
+        }
+        let errors = String::from_utf8_lossy(&asked.stderr);
+        Err(unavailable(errors.lines().last().unwrap_or("it said nothing").to_owned()))
+    }
+
     /// Finds the cameras of the photographs `names` below the folder `photographs`, in this order. `work` is an empty folder, where the
     /// model and temporary files are written.
     ///
@@ -93,8 +122,8 @@ impl PoseEstimator {
         report: &mut dyn FnMut(PoseProgress),
         cancel: &CancelFlag,
     ) -> Result<PoseReport, PosesError> {
-        if names.len() < MIN_PHOTOGRAPHS {
-            return Err(PosesError::TooFew(names.len()));
+        if names.len() < Limits::MIN_PHOTOGRAPHS {
+            return Err(PosesError::Ingest(IngestErrorKind::TooFewPhotographs(names.len()).into()));
         }
         let io = |what| move |error| PosesError::Io { what, error };
         let request = Request {
@@ -133,7 +162,7 @@ impl PoseEstimator {
         };
         let unregistered: Vec<String> =
             names.iter().filter(|name| found.registered.binary_search(name).is_err()).cloned().collect();
-        if found.registered.len() < MIN_PHOTOGRAPHS || 2 * found.registered.len() < names.len() {
+        if found.registered.len() < Limits::MIN_PHOTOGRAPHS || 2 * found.registered.len() < names.len() {
             return Err(PosesError::TooFewRegistered {
                 registered: found.registered.len(),
                 photographs: names.len(),
@@ -165,6 +194,7 @@ impl PoseEstimator {
     ) -> Result<Option<(Found, String, bool)>, PosesError> {
         let end = Instant::now() + self.limits.time;
         let (mut generator, mut is_isolated, mut found) = ("pycolmap".to_owned(), false, None);
+        let (mut last, mut reported) = (None, Instant::now());
         loop {
             if cancel.is_cancelled() {
                 return Err(PosesError::Cancelled);
@@ -174,16 +204,26 @@ impl PoseEstimator {
             }
             let text = match running.lines.recv_timeout(POLL) {
                 Ok(text) => text,
-                Err(RecvTimeoutError::Timeout) => continue,
+                Err(RecvTimeoutError::Timeout) => {
+                    // It has a limit of time of its own, so it does not count as stalled while it works on one step.
+                    if let Some(last) = last.filter(|_| reported.elapsed() > REPORT_AGAIN) {
+                        report(last);
+                        reported = Instant::now();
+                    }
+                    continue;
+                }
                 Err(RecvTimeoutError::Disconnected) => break,
             };
             match serde_json::from_str(&text) {
-                Ok(Line::Progress { stage, done, total }) => report(PoseProgress { stage, done, total }),
+                Ok(Line::Progress(progress)) => {
+                    report(progress);
+                    (last, reported) = (Some(progress), Instant::now());
+                }
                 Ok(Line::Result { result }) => found = Some(result),
                 Ok(Line::Failure { failure, detail }) => return Err(self.failure(&failure, detail)),
-                Ok(Line::Program { version, network }) => {
-                    generator = format!("pycolmap {version}");
-                    is_isolated = network == "isolated";
+                Ok(Line::Program(program)) => {
+                    generator = format!("pycolmap {}", program.version);
+                    is_isolated = program.network != NetworkIsolation::None;
                 }
                 // COLMAP's libraries may write there too.
                 Err(_) => tracing::debug!("pycolmap: {text}"),
@@ -238,7 +278,7 @@ impl Drop for Running {
 }
 
 /// The end of a file, on one line.
-fn last_words(path: &Path) -> String {
+pub(super) fn last_words(path: &Path) -> String {
     let read = || -> std::io::Result<String> {
         let mut file = File::open(path)?;
         let length = file.metadata()?.len();

@@ -4,17 +4,18 @@ use std::{io, path::PathBuf, time::Duration};
 
 use thiserror::Error;
 
-use super::{MIN_PHOTOGRAPHS, PYCOLMAP_VERSION};
-use crate::domain::{Problem, ProblemType};
+use super::PYCOLMAP_VERSION;
+use crate::{
+    domain::{Problem, ProblemType},
+    ingest::IngestError,
+};
 
 /// Why no cameras were found.
 #[derive(Debug, Error)]
 pub enum PosesError {
-    /// Fewer than are needed at all.
-    #[error(
-        "there are {0} photographs, and cameras are found from {MIN_PHOTOGRAPHS} or more; 50 and more, taken all around, make a good scene"
-    )]
-    TooFew(usize),
+    /// The photographs cannot be read, or are too few.
+    #[error(transparent)]
+    Ingest(#[from] IngestError),
     /// The interpreter is missing, or has no pycolmap.
     #[error(
         "cameras of photographs are found by pycolmap, which '{python}' does not have ({detail}); install it with `make poses`, or with \
@@ -26,6 +27,20 @@ pub enum PosesError {
         /// What it said.
         detail: String,
     },
+    /// There is no ffmpeg.
+    #[error(
+        "photographs of a video are taken by ffmpeg, which cannot be run as '{ffmpeg}' ({detail}); install it (Debian: apt-get install \
+         ffmpeg), or name it in TCGS_FFMPEG"
+    )]
+    VideoUnavailable {
+        /// The program.
+        ffmpeg: PathBuf,
+        /// What it said.
+        detail: String,
+    },
+    /// ffmpeg cannot read the video.
+    #[error("the video cannot be read: {0}")]
+    VideoUnreadable(String),
     /// A file is no photograph that pycolmap reads.
     #[error("{0}")]
     Unreadable(String),
@@ -78,9 +93,12 @@ pub enum PosesError {
 
 impl From<PosesError> for Problem {
     fn from(error: PosesError) -> Self {
-        let kind = match &error {
-            PosesError::TooFew(_) => ProblemType::TooFewPhotographs,
+        let detail = error.to_string();
+        let kind = match error {
+            PosesError::Ingest(error) => return error.into(),
             PosesError::Unavailable { .. } => ProblemType::PosesUnavailable,
+            PosesError::VideoUnavailable { .. } => ProblemType::VideoUnavailable,
+            PosesError::VideoUnreadable(_) => ProblemType::VideoRejected,
             PosesError::Unreadable(_) => ProblemType::ImageRejected,
             PosesError::Featureless(_) => ProblemType::FeaturelessPhotographs,
             PosesError::NoOverlap(_) => ProblemType::NoOverlap,
@@ -90,6 +108,6 @@ impl From<PosesError> for Problem {
             PosesError::Io { .. } => ProblemType::StorageFailed,
             PosesError::Cancelled => ProblemType::Stopped,
         };
-        Problem::new(kind, error.to_string())
+        Problem::new(kind, detail)
     }
 }

@@ -1,10 +1,12 @@
 """Finds the cameras of photographs with pycolmap: features, matches, incremental mapping.
 
     python3 -I estimate_poses.py REQUEST.json
+    python3 -I estimate_poses.py --probe
 
-The request has `photographs` (a folder), `names` (files below it, in order), `work` (an empty folder), `camera_model`, `matching`
-(`auto`, `exhaustive`, `sequential`), `seed`, `threads`, `memory_bytes` (0 for no limit). Standard output has one JSON object a line:
-`{"stage", "done", "total"}` as work goes on, and at the end `{"result"}` or `{"failure", "detail"}`. The result's model is in
+The probe tells the version and the means that keep the process off the network. The request has `photographs` (a folder), `names` (files
+below it, in order), `work` (an empty folder), `camera_model`, `matching` (`auto`, `exhaustive`, `sequential`), `seed`, `threads`,
+`memory_bytes` (0 for no limit). Standard output has one JSON object a line: `{"stage", "done", "total"}` as work goes on, of the finished
+mapping with `reprojection_error` in pixels, and at the end `{"result"}` or `{"failure", "detail"}`. The result's model is in
 `work/sparse/0`. pycolmap and numpy alone are needed.
 """
 
@@ -14,6 +16,7 @@ import json
 import os
 import re
 import statistics
+import struct
 import sys
 import threading
 import time
@@ -31,6 +34,9 @@ MIN_FEATURES = 100
 BLOCK = 10
 
 CLONE_NEWUSER, CLONE_NEWNET = 0x10000000, 0x40000000
+PR_SET_SECCOMP, PR_SET_NO_NEW_PRIVS, SECCOMP_MODE_FILTER = 22, 38, 2
+# Numbers of the architecture (AUDIT_ARCH_*) and of the system calls socket, socketpair and io_uring_setup, by machine.
+SYSTEM_CALLS = {"x86_64": (0xC000003E, (41, 53, 425)), "aarch64": (0xC00000B7, (198, 199, 425))}
 
 
 def say(**message):
@@ -43,12 +49,36 @@ def fail(failure, detail):
 
 
 def leave_network():
-    """Moves the process to a network namespace of its own, which has no interfaces; returns whether that was possible."""
+    """Keeps the process off the network: in a network namespace of its own, which has no interfaces, else by a filter of system calls.
+    Returns which of them the system permits: `namespace`, `filter` or `none`."""
     try:
         libc = ctypes.CDLL(None, use_errno=True)
-        return libc.unshare(CLONE_NEWNET) == 0 or libc.unshare(CLONE_NEWUSER | CLONE_NEWNET) == 0
+        if libc.unshare(CLONE_NEWNET) == 0 or libc.unshare(CLONE_NEWUSER | CLONE_NEWNET) == 0:
+            return "namespace"
+        return "filter" if refuse_sockets(libc) else "none"
     except (OSError, AttributeError):
+        return "none"
+
+
+def refuse_sockets(libc):
+    """Lets the system calls that make sockets fail with EPERM (seccomp); returns whether the system permits that."""
+    if os.uname().machine not in SYSTEM_CALLS:
         return False
+    architecture, calls = SYSTEM_CALLS[os.uname().machine]
+    load, equal, at_least, answer = 0x20, 0x15, 0x35, 0x06
+    allow, refuse, kill = 0x7FFF0000, 0x00050000 | 1, 0x80000000
+    # Each: code, jump if true, jump if false, value. The architecture stands at 4, the number of the call at 0; numbers of the
+    # 32-bit interface of x86-64 begin at 0x40000000.
+    program = [(load, 0, 0, 4), (equal, 1, 0, architecture), (answer, 0, 0, kill), (load, 0, 0, 0)]
+    program += [(at_least, len(calls) + 1, 0, 0x40000000)]
+    program += [(equal, len(calls) - place, 0, call) for place, call in enumerate(calls)]
+    program += [(answer, 0, 0, allow), (answer, 0, 0, refuse)]
+    instructions = b"".join(struct.pack("=HBBI", *instruction) for instruction in program)
+    held = ctypes.create_string_buffer(instructions, len(instructions))
+    described = struct.pack("@HP", len(program), ctypes.addressof(held))
+    if libc.prctl(PR_SET_NO_NEW_PRIVS, 1, 0, 0, 0) != 0:
+        return False
+    return libc.prctl(PR_SET_SECCOMP, SECCOMP_MODE_FILTER, described, 0, 0) == 0
 
 
 def limit_memory(number):
@@ -151,8 +181,17 @@ def upright(pycolmap, numpy, model):
 
 
 def main():
-    request = json.loads(Path(sys.argv[1]).read_text(encoding="utf-8"))
-    isolated = leave_network()
+    is_probe = sys.argv[1] == "--probe"
+    request = None if is_probe else json.loads(Path(sys.argv[1]).read_text(encoding="utf-8"))
+    network = leave_network()
+    if is_probe:
+        try:
+            import numpy
+            import pycolmap
+        except ImportError as error:
+            fail("unavailable", str(error))
+        say(version=pycolmap.__version__, network=network)
+        return
     limit_memory(request["memory_bytes"])
     end_with_parent()
     progress = Progress()
@@ -161,7 +200,7 @@ def main():
         import pycolmap
     except ImportError as error:
         fail("unavailable", str(error))
-    say(version=pycolmap.__version__, network="isolated" if isolated else "not isolated")
+    say(version=pycolmap.__version__, network=network)
 
     folder, work, names = Path(request["photographs"]), Path(request["work"]), request["names"]
     seed, threads, database = request["seed"], request["threads"], work / "features.db"
@@ -263,6 +302,8 @@ def main():
     upright(pycolmap, numpy, model)
     (work / "sparse" / "0").mkdir(parents=True)
     model.write(work / "sparse" / "0")
+    error = model.compute_mean_reprojection_error()
+    say(stage="mapping", done=model.num_reg_images(), total=len(names), reprojection_error=error)
     found = sorted(image.name for image in model.images.values() if image.has_pose)
     say(
         result={
@@ -270,7 +311,7 @@ def main():
             "models": len(models),
             "points": model.num_points3D(),
             "cameras": model.num_cameras(),
-            "reprojection_error": model.compute_mean_reprojection_error(),
+            "reprojection_error": error,
             "verified_pairs": verified,
         }
     )

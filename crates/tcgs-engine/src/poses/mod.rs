@@ -1,18 +1,25 @@
-//! Cameras of photographs that have none: COLMAP's structure from motion, by pycolmap in a child process.
+//! Cameras of photographs that have none: COLMAP's structure from motion, by pycolmap in a child process. Photographs of a video come
+//! from ffmpeg in another.
 //!
 //! Invariants: the child gets no network where the system permits that, keeps to a limit of memory, time and threads, and ends with
 //! its parent; everything that it writes is below one folder of the caller's; the same photographs, options and seed on the same machine
 //! give the same cameras, as far as pycolmap promises that.
 
 mod child;
+mod dataset;
 mod error;
+mod frames;
 mod natural_order;
 mod options;
 
 pub use child::{PoseEstimator, find_python};
+pub use dataset::PosedDataset;
 pub use error::PosesError;
+pub use frames::{ffmpeg_version, find_ffmpeg};
 pub use natural_order::natural_order;
-pub use options::{CameraModel, Matching, PoseLimits, PoseOptions};
+pub use options::{CameraModel, DEFAULT_FRAMES, Matching, PoseLimits, PoseOptions};
+
+pub use crate::domain::{PoseProgress, PoseStage};
 
 #[cfg(all(test, unix))]
 mod tests;
@@ -20,46 +27,30 @@ mod tests;
 use std::path::PathBuf;
 
 use serde::{Deserialize, Serialize};
+use tcgs_codec::named_choice;
 
 /// The version of pycolmap that is tried and pinned.
 pub const PYCOLMAP_VERSION: &str = "4.2.1";
 
-/// Fewest photographs of which cameras can be found.
-pub const MIN_PHOTOGRAPHS: usize = 3;
-
-/// A phase of the work.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum PoseStage {
-    /// Distinct points of each photograph are found.
-    Features,
-    /// Pairs of photographs are compared.
-    Matches,
-    /// Photographs are registered, one after the other.
-    Mapping,
-}
-
-impl PoseStage {
-    /// Its name.
-    #[must_use]
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Features => "features",
-            Self::Matches => "matches",
-            Self::Mapping => "mapping",
-        }
+named_choice! {
+    /// What keeps the child off the network.
+    pub enum NetworkIsolation {
+        /// A network namespace of its own, without interfaces.
+        Namespace = "namespace",
+        /// A filter of system calls (seccomp) that refuses sockets.
+        Filter = "filter",
+        /// Nothing: the system permits neither.
+        None = "none",
     }
 }
 
-/// How far the work is.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct PoseProgress {
-    /// The phase.
-    pub stage: PoseStage,
-    /// Photographs, pairs or registered photographs that are done; pairs of sequential matching are an estimate.
-    pub done: u64,
-    /// Of how many.
-    pub total: u64,
+/// The program that finds cameras.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct PoseProgram {
+    /// The version of pycolmap.
+    pub version: String,
+    /// What keeps it off the network.
+    pub network: NetworkIsolation,
 }
 
 /// What was found.

@@ -42,6 +42,16 @@ named_choice! {
     }
 }
 
+impl Matching {
+    /// The pairs of frames of a video: neighbors unless others are asked for.
+    pub(super) fn of_a_video(self) -> Self {
+        match self {
+            Self::Auto => Self::Sequential,
+            chosen => chosen,
+        }
+    }
+}
+
 /// Everything that decides which cameras are found, besides the photographs.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 pub struct PoseOptions {
@@ -53,7 +63,12 @@ pub struct PoseOptions {
     pub seed: u64,
     /// Threads.
     pub threads: usize,
+    /// Frames of a video that are taken.
+    pub frames: usize,
 }
+
+/// Frames of a video that are taken unless another number is given.
+pub const DEFAULT_FRAMES: usize = 200;
 
 /// What the child may use.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -3,17 +3,26 @@
 use std::{fs, os::unix::fs::PermissionsExt as _, path::Path, time::Duration};
 
 use super::*;
-use crate::domain::{CancelFlag, Problem};
+use crate::domain::{CancelFlag, Problem, ProblemType};
 
-const OPTIONS: PoseOptions =
-    PoseOptions { camera_model: CameraModel::SimpleRadial, matching: Matching::Auto, seed: 7, threads: 2 };
+const OPTIONS: PoseOptions = PoseOptions {
+    camera_model: CameraModel::SimpleRadial,
+    matching: Matching::Auto,
+    seed: 7,
+    threads: 2,
+    frames: 200,
+};
 
 /// An interpreter that runs `script` with the program and the request as its arguments.
 fn interpreter(folder: &Path, script: &str) -> PoseEstimator {
     let python = folder.join("python");
     fs::write(&python, format!("#!/bin/sh\n{script}\n")).expect("a script");
     fs::set_permissions(&python, fs::Permissions::from_mode(0o755)).expect("executable");
-    PoseEstimator { python, limits: PoseLimits { memory_bytes: 1 << 30, time: Duration::from_secs(60) } }
+    PoseEstimator {
+        python,
+        ffmpeg: "ffmpeg".into(),
+        limits: PoseLimits { memory_bytes: 1 << 30, time: Duration::from_secs(60) },
+    }
 }
 
 /// What an interpreter finds of four photographs, and the progress that it reports.
@@ -38,7 +47,7 @@ fn problem(script: &str) -> (String, String) {
 fn progress_and_a_result_are_read_whatever_else_is_written() {
     let (found, progress) = estimate(
         r#"echo 'I2026 a library speaks'
-        echo '{"version": "4.2.1", "network": "isolated"}'
+        echo '{"version": "4.2.1", "network": "namespace"}'
         echo '{"stage": "features", "done": 2, "total": 4}'
         echo '{"stage": "mapping", "done": 3, "total": 4}'
         echo '{"result": {"registered": ["a.jpg", "b.jpg", "d.jpg"], "models": 2, "points": 40, "cameras": 1, "reprojection_error": 0.5, "verified_pairs": 5}}'"#,
@@ -46,7 +55,7 @@ fn progress_and_a_result_are_read_whatever_else_is_written() {
     let found = found.expect("cameras");
     assert_eq!((found.photographs, found.unregistered, found.models), (4, vec!["c.jpg".to_owned()], 2));
     assert_eq!((found.generator.as_str(), found.is_network_isolated), ("pycolmap 4.2.1", true));
-    let step = |stage, done| PoseProgress { stage, done, total: 4 };
+    let step = |stage, done| PoseProgress { stage, done, total: 4, reprojection_error: None };
     assert_eq!(progress, [step(PoseStage::Features, 2), step(PoseStage::Mapping, 3)]);
 }
 
@@ -85,7 +94,7 @@ fn every_failure_is_a_problem_with_its_remedy() {
 fn an_interpreter_that_is_not_there_and_too_few_photographs_are_told_at_once() {
     let folder = tempfile::tempdir().expect("a folder");
     let limits = PoseLimits { memory_bytes: 0, time: Duration::from_secs(60) };
-    let estimator = PoseEstimator { python: folder.path().join("missing"), limits };
+    let estimator = PoseEstimator { python: folder.path().join("missing"), ffmpeg: "ffmpeg".into(), limits };
     let estimate = |count: usize| {
         let names: Vec<String> = (0..count).map(|number| format!("{number}.jpg")).collect();
         let path = folder.path();
@@ -93,7 +102,7 @@ fn an_interpreter_that_is_not_there_and_too_few_photographs_are_told_at_once() {
             .estimate(path, &names, path, OPTIONS, &mut |_| (), &CancelFlag::default())
             .expect_err("no cameras")
     };
-    assert!(matches!(estimate(2), PosesError::TooFew(2)));
+    assert!(Problem::from(estimate(2)).is(ProblemType::TooFewPhotographs));
     assert!(matches!(estimate(3), PosesError::Unavailable { .. }));
 }
 

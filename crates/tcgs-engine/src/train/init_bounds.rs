@@ -32,7 +32,7 @@ pub(super) fn init_box(layout: Layout, frames: &[&Frame]) -> InitBox {
     let view = median(frames.iter().map(|frame| half_view(&frame.camera.intrinsics)).collect());
     let half = match layout {
         Layout::Blender => distance * (SHARE_OF_VIEW * view).min(MAX_HALF_SIDE),
-        Layout::Nerfstudio | Layout::Colmap => distance * MAX_HALF_SIDE,
+        _ => distance * MAX_HALF_SIDE,
     };
     InitBox { center, half: if half > 0.0 { half } else { HALF_SIDE_WITHOUT_DISTANCE } }
 }

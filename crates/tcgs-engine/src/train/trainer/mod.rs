@@ -662,6 +662,7 @@ impl Run {
             psnr: average.map(|average| average.psnr()),
             ssim: average.map(|average| average.ssim),
             bytes: self.state.file_bytes(),
+            poses: None,
             checkpoint_step: 0,
         }
     }

@@ -1,0 +1,230 @@
+//! Photographs, or a video, that no file says the cameras of: a dataset once `poses` has found them.
+//!
+//! A folder or archive is one if no layout of a dataset is found in it. The check reads headers alone, within the limits of datasets.
+
+use std::{
+    fs::{self, File},
+    io,
+    path::Path,
+};
+
+use super::{
+    deadline::Deadline,
+    error::{IngestError, IngestErrorKind},
+    images::{self, is_image_name},
+    limits::Limits,
+    tree::{Purpose, Tree},
+    video::{SIGNATURE_BYTES, is_video, is_video_name},
+};
+use crate::domain::{DatasetSummary, Layout};
+
+/// Names of COLMAP's tables, without extension.
+const TABLES: [&str; 2] = ["cameras", "images"];
+
+/// What cameras are found of.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Unposed {
+    /// Photographs, by their names in order.
+    Photographs(Vec<String>),
+    /// A video, by its name.
+    Video(String),
+}
+
+impl Unposed {
+    /// The photographs below a folder or in an archive, hidden ones aside, or its video if it has no photographs; `path` may be a video too.
+    ///
+    /// # Errors
+    /// Files that cannot be read or are too many, neither photographs nor a video, several videos.
+    pub fn find(path: &Path) -> Result<Self, IngestError> {
+        Self::of(&Tree::open(Purpose::Load, path, &Limits::default())?)
+    }
+
+    fn of(tree: &Tree) -> Result<Self, IngestError> {
+        let is_hidden = |name: &str| name.split('/').any(|part| part.starts_with('.'));
+        let shown = || tree.names().filter(|name| !is_hidden(name));
+        let photographs: Vec<String> =
+            shown().filter(|name| is_image_name(name)).map(str::to_owned).collect();
+        if !photographs.is_empty() {
+            return Ok(Self::Photographs(photographs));
+        }
+        let mut videos = shown().filter(|name| is_video_name(name));
+        match (videos.next(), videos.next()) {
+            (Some(video), None) => Ok(Self::Video(video.to_owned())),
+            (Some(_), Some(second)) => Err(IngestErrorKind::SeveralVideos.at(second)),
+            (None, _) => Err(IngestErrorKind::NoLayout { photographs: 0 }.into()),
+        }
+    }
+
+    /// Writes the files into the folder `to`, by their names.
+    ///
+    /// # Errors
+    /// Files that cannot be read, are too large, or cannot be written.
+    pub fn extract(&self, path: &Path, to: &Path) -> Result<(), IngestError> {
+        let tree = Tree::open(Purpose::Load, path, &Limits::default())?;
+        let names = match self {
+            Self::Photographs(names) => names.iter(),
+            Self::Video(name) => std::slice::from_ref(name).iter(),
+        };
+        for name in names {
+            let copied = tree.parse_unused(name, u64::MAX, |reader, _| {
+                let file = to.join(name);
+                let written = (|| -> io::Result<()> {
+                    fs::create_dir_all(file.parent().unwrap_or(to))?;
+                    io::copy(reader, &mut File::create(&file)?).map(drop)
+                })();
+                written.map_err(IngestErrorKind::Spill)
+            });
+            copied?;
+        }
+        Ok(())
+    }
+
+    /// The name of the kind.
+    fn layout(&self) -> Layout {
+        match self {
+            Self::Photographs(_) => Layout::Photographs,
+            Self::Video(_) => Layout::Video,
+        }
+    }
+}
+
+/// Whether a file is a table of cameras: then the files are a dataset in the wrong place, or several.
+fn is_table(name: &str) -> bool {
+    let name = name.rsplit('/').next().unwrap_or(name).to_lowercase();
+    let is_transforms = name.starts_with("transforms") && name.ends_with(".json");
+    is_transforms
+        || TABLES.iter().any(|table| name == format!("{table}.txt") || name == format!("{table}.bin"))
+}
+
+/// Checks photographs or a video without cameras.
+///
+/// # Errors
+/// [`IngestErrorKind::TooFewPhotographs`], [`IngestErrorKind::NotAVideo`]; else as the check of a dataset.
+pub(super) fn check(deadline: Deadline, path: &Path, limits: &Limits) -> Result<DatasetSummary, IngestError> {
+    let tree = Tree::open(Purpose::Check(deadline), path, limits)?;
+    let faults = tree.disk_faults();
+    summary(&tree, limits).map_err(|error| faults.or(error))
+}
+
+fn summary(tree: &Tree, limits: &Limits) -> Result<DatasetSummary, IngestError> {
+    if tree.names().any(is_table) {
+        let photographs = tree.names().filter(|name| is_image_name(name)).count();
+        return Err(IngestErrorKind::NoLayout { photographs }.into());
+    }
+    let unposed = Unposed::of(tree)?;
+    let (mut pixels, mut count) = (0, 0);
+    match &unposed {
+        Unposed::Photographs(names) => {
+            if names.len() < Limits::MIN_PHOTOGRAPHS {
+                return Err(IngestErrorKind::TooFewPhotographs(names.len()).into());
+            }
+            if names.len() > Limits::FRAMES {
+                let (count, limit) = (names.len(), Limits::FRAMES);
+                return Err(IngestErrorKind::TooManyPhotographs { count, limit }.into());
+            }
+            for name in names {
+                tree.check_time().map_err(|error| error.at(name))?;
+                let (width, height) = images::header(tree, name, limits)?.size;
+                let trained = width.min(Limits::TRAINING_WIDTH);
+                pixels += u64::from(trained) * u64::from(height) * u64::from(trained) / u64::from(width);
+                if pixels > limits.scene_pixels {
+                    let error = IngestErrorKind::TooManyScenePixels { pixels, limit: limits.scene_pixels };
+                    return Err(error.at(name));
+                }
+            }
+            count = names.len();
+        }
+        Unposed::Video(name) => {
+            if !is_video(&tree.read_up_to(name, SIGNATURE_BYTES)?) {
+                return Err(IngestErrorKind::NotAVideo.at(name));
+            }
+        }
+    }
+    let notes = vec![match &unposed {
+        Unposed::Photographs(_) => {
+            "no file says the cameras of the photographs: a job finds them first".to_owned()
+        }
+        Unposed::Video(name) => {
+            format!("a job takes photographs from the video {name}, and finds their cameras")
+        }
+    }];
+    Ok(DatasetSummary { layout: unposed.layout(), train: count, test: 0, pixels, points: None, notes })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::domain::ProblemType;
+
+    fn put(folder: &Path, name: &str, content: &[u8]) {
+        let path = folder.join(name);
+        fs::create_dir_all(path.parent().expect("a parent")).expect("a folder");
+        fs::write(path, content).expect("a file");
+    }
+
+    fn photograph(width: u32) -> Vec<u8> {
+        let mut bytes = io::Cursor::new(Vec::new());
+        let image = image::RgbImage::from_pixel(width, 2, image::Rgb([7; 3]));
+        image.write_to(&mut bytes, image::ImageFormat::Png).expect("encodes");
+        bytes.into_inner()
+    }
+
+    #[test]
+    fn photographs_of_all_folders_are_found_and_nothing_else_is() {
+        let folder = tempfile::tempdir().expect("a folder");
+        for name in
+            ["b.JPG", "a/c.png", "a/d.webp", "notes.txt", ".hidden/e.jpg", "__MACOSX/._b.JPG", "v.mp4"]
+        {
+            put(folder.path(), name, b"");
+        }
+        let Unposed::Photographs(found) = Unposed::find(folder.path()).expect("readable") else {
+            panic!("no photographs")
+        };
+        assert_eq!(found, ["a/c.png", "a/d.webp", "b.JPG"]);
+        assert!(Unposed::find(&folder.path().join("missing")).is_err());
+    }
+
+    #[test]
+    fn photographs_are_checked_by_their_headers_and_extracted_as_they_are() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let given = folder.path().join("given");
+        for (number, width) in [(1, 4), (2, 3200)] {
+            put(&given, &format!("DCIM/{number}.png"), &photograph(width));
+        }
+        let check = || super::super::check(&given);
+        let refused = check().expect_err("two photographs");
+        assert!(refused.is(ProblemType::TooFewPhotographs), "{refused}");
+        put(&given, "DCIM/3.png", &photograph(4));
+        let summary = check().expect("photographs");
+        assert_eq!((summary.layout, summary.train, summary.pixels), (Layout::Photographs, 3, 8 + 1600 + 8));
+        assert!(super::super::load(&given).is_err(), "there is nothing to train on yet");
+        put(&given, "DCIM/4.png", b"\x89PNG\r\n\x1a\n no header");
+        assert_eq!(check().expect_err("no photograph").file.as_deref(), Some("DCIM/4.png"));
+
+        let to = folder.path().join("to");
+        Unposed::find(&given).expect("photographs").extract(&given, &to).expect("extracted");
+        assert_eq!(fs::read(to.join("DCIM/1.png")).expect("there"), photograph(4));
+    }
+
+    #[test]
+    fn one_video_without_photographs_is_accepted_if_it_is_one() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let check = || super::super::check(folder.path());
+        put(folder.path(), "take/IMG_1.MOV", b"\0\0\0\x14ftypqt  ");
+        let summary = check().expect("a video");
+        assert_eq!((summary.layout, summary.train), (Layout::Video, 0));
+        put(folder.path(), "b.mp4", b"\0\0\0\x14ftypisom");
+        assert_eq!(check().expect_err("two videos").file.as_deref(), Some("take/IMG_1.MOV"));
+        fs::remove_dir_all(folder.path().join("take")).expect("removed");
+        put(folder.path(), "b.mp4", b"<html><body>");
+        assert!(check().expect_err("no video").detail.contains("MP4"));
+        put(folder.path(), "b.mp4", b"");
+        assert!(check().is_err());
+        // The file alone is accepted too, also under another name.
+        for name in ["alone.m4v", "blob"] {
+            put(folder.path(), name, b"\0\0\0\x14ftypisom");
+            let alone = super::super::check(&folder.path().join(name)).expect("a video");
+            assert_eq!(alone.layout, Layout::Video);
+        }
+    }
+}

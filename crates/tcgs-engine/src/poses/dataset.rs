@@ -1,0 +1,133 @@
+//! Makes a dataset of photographs or of a video: the registered photographs and the model in COLMAP's layout, with a record of how its
+//! cameras were found.
+//!
+//! Everything is written below one folder of the caller's. A photograph with a camera is a link to the file that was given, where the
+//! file system can link it, else a copy.
+
+use std::{
+    fs, io,
+    path::{Path, PathBuf},
+};
+
+use super::{
+    PoseEstimator, PoseOptions, PoseProgress, PoseReport, PosesError,
+    frames::{Caller, Video},
+    natural_order,
+};
+use crate::{
+    domain::CancelFlag,
+    ingest::{POSES_RECORD, Unposed},
+};
+
+/// Photographs whose cameras were found.
+#[derive(Debug)]
+pub struct PosedDataset {
+    /// What was found.
+    pub report: PoseReport,
+    /// The folder of the dataset.
+    pub folder: PathBuf,
+}
+
+impl PoseEstimator {
+    /// Finds the cameras of the photographs, or of frames of the video, at `given`, which is a folder or a zip archive. The dataset is
+    /// written below `work`, an empty folder.
+    ///
+    /// # Errors
+    /// Why there are no photographs, or their cameras were not found.
+    pub fn dataset(
+        &self,
+        given: &Path,
+        work: &Path,
+        mut options: PoseOptions,
+        report: &mut dyn FnMut(PoseProgress),
+        cancel: &CancelFlag,
+    ) -> Result<PosedDataset, PosesError> {
+        let [source, search, folder] = ["source", "search", "dataset"].map(|name| work.join(name));
+        let io = |what| move |error| PosesError::Io { what, error };
+        fs::create_dir(&search).map_err(io("cannot create a folder to work in"))?;
+        let unposed = Unposed::find(given)?;
+        let photographs = match unposed {
+            Unposed::Photographs(names) if given.is_dir() => Photographs { folder: given.to_owned(), names },
+            unposed => {
+                unposed.extract(given, &source)?;
+                match unposed {
+                    Unposed::Photographs(names) => Photographs { folder: source, names },
+                    Unposed::Video(name) => {
+                        options.matching = options.matching.of_a_video();
+                        let video = Video {
+                            ffmpeg: &self.ffmpeg,
+                            path: &source.join(name),
+                            limits: self.limits,
+                            threads: options.threads,
+                        };
+                        let frames = work.join("frames");
+                        let names = video.frames(&frames, options.frames, &mut Caller { report, cancel })?;
+                        Photographs { folder: frames, names }
+                    }
+                }
+            }
+        };
+        let Photographs { folder: photographs, mut names } = photographs.in_their_folder();
+        names.sort_by(|a, b| natural_order(a, b));
+        let found = self.estimate(&photographs, &names, &search, options, report, cancel)?;
+        assemble(&folder, &photographs, &found).map_err(io("cannot write the dataset"))?;
+        Ok(PosedDataset { report: found, folder })
+    }
+}
+
+/// Photographs by their names below a folder.
+struct Photographs {
+    folder: PathBuf,
+    names: Vec<String>,
+}
+
+impl Photographs {
+    /// The same photographs by their names below the deepest folder that has them all.
+    fn in_their_folder(self) -> Self {
+        let Self { mut folder, mut names } = self;
+        while let Some((first, _)) = names.first().and_then(|name| name.split_once('/')) {
+            let prefix = format!("{first}/");
+            if !names.iter().all(|name| name.starts_with(&prefix)) {
+                break;
+            }
+            folder.push(first);
+            names.iter_mut().for_each(|name| *name = name[prefix.len()..].to_owned());
+        }
+        Self { folder, names }
+    }
+}
+
+/// Puts the registered photographs and the model into a folder, in COLMAP's layout.
+fn assemble(dataset: &Path, photographs: &Path, found: &PoseReport) -> io::Result<()> {
+    for name in &found.registered {
+        let to = dataset.join("images").join(name);
+        fs::create_dir_all(to.parent().unwrap_or(dataset))?;
+        if fs::hard_link(photographs.join(name), &to).is_err() {
+            fs::copy(photographs.join(name), &to)?;
+        }
+    }
+    fs::create_dir_all(dataset.join("sparse"))?;
+    fs::rename(&found.model, dataset.join("sparse/0"))?;
+    fs::write(dataset.join(POSES_RECORD), serde_json::to_vec_pretty(found)?)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn photographs_in_one_folder_have_names_below_it() {
+        let below = |names: &[&str]| {
+            let names = names.iter().map(|name| (*name).to_owned()).collect();
+            let Photographs { folder, names } =
+                Photographs { folder: PathBuf::from("given"), names }.in_their_folder();
+            (folder.display().to_string(), names)
+        };
+        let names = |names: [&str; 2]| names.map(str::to_owned).to_vec();
+        assert_eq!(
+            below(&["take/images/a.jpg", "take/images/left/b.jpg"]),
+            ("given/take/images".to_owned(), names(["a.jpg", "left/b.jpg"]))
+        );
+        assert_eq!(below(&["a/c.png", "b.png"]), ("given".to_owned(), names(["a/c.png", "b.png"])));
+    }
+}
