@@ -232,10 +232,13 @@ fn is_long(device: &Device, gaussians: usize, camera: &Camera) -> bool {
     device.variant() == KernelVariant::Hardware && milliseconds > MAX_SUBMISSION_MS
 }
 
+fn has_masks(frames: &[Frame]) -> bool {
+    frames.iter().any(|frame| frame.mask.is_some())
+}
+
 /// The loss against photographs, of which all pixels count or not.
 fn loss_of(device: &Arc<Device>, frames: &[Frame]) -> Result<ImageLoss> {
-    let masked = frames.iter().any(|frame| frame.mask.is_some());
-    let make = if masked { ImageLoss::masked } else { ImageLoss::new };
+    let make = if has_masks(frames) { ImageLoss::masked } else { ImageLoss::new };
     Ok(make(Arc::clone(device))?)
 }
 
@@ -345,7 +348,7 @@ impl Run {
         let near = NearPlane::of_extent(scene_extent(&set)).depth();
         let settings = RasterSettings { near, ..RasterSettings::default() };
         let now = Instant::now();
-        Ok(Self {
+        let mut run = Self {
             choices,
             schedule,
             control,
@@ -369,7 +372,14 @@ impl Run {
             device: Arc::clone(device),
             frame,
             frames: set.frames,
-        })
+        };
+        run.tell_of_masks()?;
+        Ok(run)
+    }
+
+    /// Tells the model if some pixels of the photographs do not count.
+    fn tell_of_masks(&mut self) -> Result<()> {
+        if has_masks(&self.frames) { self.model.count_views_with_gradient() } else { Ok(()) }
     }
 
     /// The last step on the way to `goal`.
@@ -457,6 +467,8 @@ impl Run {
                     }
                     let views = &mut Views { raster: &mut self.raster, frames: &self.frames, cancel };
                     self.model.adapt(&last, &mut self.state.rng, views)?;
+                    // It may have another renderer now.
+                    self.tell_of_masks()?;
                 }
                 if self.reports_after(last.number) {
                     let figures = self.read_figures()?;

@@ -61,6 +61,7 @@ const fn sets(sets: &'static [&'static [(&'static str, u32)]]) -> Definitions {
 
 const ONE: Definitions = sets(&[&[]]);
 const DEGREE: Definitions = sets(&[&[("DEGREE", 0)], &[("DEGREE", 1)], &[("DEGREE", 2)], &[("DEGREE", 3)]]);
+const MASKED_DEGREE: Definitions = sets(&[&[("DEGREE", 0)], &[("DEGREE", 0), ("MASKED", 1)]]);
 const RUN: Definitions = sets(&[&[("RUN", 1)], &[("RUN", 16)]]);
 /// For photographs of which all pixels count, and for those of which some do.
 const MASKED: Definitions = sets(&[&[], &[("MASKED", 1)]]);
@@ -146,12 +147,12 @@ kernels! {
         "count_gaussians": ONE.of_shape().by_variant(),
         "spawn_gradient": ONE.of_shape().by_variant(),
         "feature_gradient": ONE.of_shape().by_variant(),
-        "anchor_statistics": ONE.of_shape().by_variant(),
+        "anchor_statistics": MASKED.of_shape().by_variant(),
     }
     "plain" {
         "shade_gaussians": DEGREE,
         "shade_gradient": DEGREE.by_variant(),
-        "gaussian_statistics": DEGREE,
+        "gaussian_statistics": MASKED_DEGREE,
     }
     "raster" {
         "project": RUN.by_variant(),
