@@ -18,8 +18,8 @@ use std::{
 use tcgs::{
     codec::{self, EncodeError, EncodeSettings, Encoded},
     domain::{
-        AnchorScene, Background, Dataset, DatasetSummary, ExifOrientation, Image, MemoryLimits, NamedCamera,
-        Problem, ProblemType, Scene, Scores, Split,
+        AnchorScene, Background, Dataset, DatasetSummary, Image, MemoryLimits, NamedCamera, Problem,
+        ProblemType, ReadOptions, Scene, Scores, Split,
     },
     eval::{InFlight, PerceptualDistance, Target, ViewTasks, band_errors, for_each_view, mean_scores_with},
     export::anchors,
@@ -63,17 +63,16 @@ pub(crate) struct Inspection {
     pub(crate) text: String,
 }
 
-/// As [`load_oriented`], with EXIF orientations as the cameras have them.
+/// As [`load_as`], read as usual.
 pub(crate) fn load_dataset(path: &Path) -> Result<Dataset, Problem> {
-    load_oriented(path, ExifOrientation::Auto)
+    load_as(path, &ReadOptions::default())
 }
 
 /// Reads a dataset; photographs may use half of the available memory.
-pub(crate) fn load_oriented(path: &Path, orientation: ExifOrientation) -> Result<Dataset, Problem> {
+pub(crate) fn load_as(path: &Path, reading: &ReadOptions) -> Result<Dataset, Problem> {
     let host = MemoryFlags::default().limits(1).host;
     let load_budget = LoadBudget { memory_bytes: host / 2, ..LoadBudget::default() };
-    ingest::load_oriented(path, orientation, &load_budget, &|| true)
-        .map_err(|error| named(error.into(), path))
+    ingest::load_as(path, reading, &load_budget, &|| true).map_err(|error| named(error.into(), path))
 }
 
 /// Names the dataset in a problem that names no file in it.
@@ -94,12 +93,12 @@ pub(crate) fn check_dataset(path: &Path) -> Result<(), Problem> {
     ingest::check(path).map(drop).map_err(|problem| named(problem, path))
 }
 
-/// What a dataset holds and its cameras. Pixels are read only where they decide about an EXIF orientation.
+/// What a dataset holds and its cameras. Pixels are read only where they decide how files are read.
 pub(crate) fn survey_dataset(
     path: &Path,
-    orientation: ExifOrientation,
+    reading: &ReadOptions,
 ) -> Result<(DatasetSummary, Vec<NamedCamera>), Problem> {
-    ingest::check_oriented(path, orientation).map_err(|problem| named(problem, path))
+    ingest::check_as(path, reading).map_err(|problem| named(problem, path))
 }
 
 /// The cameras of a dataset, without reading its pixels.
