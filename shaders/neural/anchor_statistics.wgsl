@@ -1,6 +1,7 @@
 // Adds one view to the statistics that decide growth and pruning (METHOD.md §2.6). An anchor's row of
 // statistics: OFFSETS sums of screen-gradient norms, OFFSETS counts of views, a sum of positive opacities, visits.
 // Screen gradients are in half-image units: pixels times half the width and height. An overflowed pass adds nothing.
+// With masks, a view that shows nothing of a Gaussian that counts, and so gives it no gradient, is none.
 #import tcgs::anchor_view::View
 #import tcgs::model::OFFSETS
 #import tcgs::permute::part_of
@@ -14,6 +15,14 @@ const ROW: u32 = 2u * OFFSETS + 2u;
 @group(0) @binding(4) var<storage, read_write> statistics: array<f32>;
 // Not 0 once a forward pass has overflowed: the step is repeated.
 @group(0) @binding(5) var<storage, read> overflow_flag: array<u32>;
+
+fn shows(d: vec4f) -> bool {
+#ifdef MASKED
+    return any(d.xy != vec2f(0.0));
+#else
+    return true;
+#endif
+}
 
 @compute @workgroup_size(64)
 fn anchor_statistics(
@@ -35,7 +44,7 @@ fn anchor_statistics(
         }
         opacities += opacity;
         let d = d_means2d[gaussian];
-        if d.z > 0.0 {
+        if d.z > 0.0 && shows(d) {
             statistics[row + k] += length(d.xy * 0.5 * view.image.xy);
             statistics[row + OFFSETS + k] += 1.0;
         }

@@ -1,6 +1,7 @@
 // Adds one view to the statistics that decide the growth of plain Gaussians: a row is the sum of screen-gradient norms,
 // the count of views, and the largest radius on screen in pixels. Screen gradients are in half-image units: pixels
-// times half the width and height. An overflowed pass adds nothing.
+// times half the width and height. An overflowed pass adds nothing. With masks,
+// a view that shows nothing of a Gaussian that counts, and so gives it no gradient, is none.
 #import tcgs::index::lane_index
 #import tcgs::plain::View
 
@@ -23,6 +24,11 @@ fn gaussian_statistics(@builtin(workgroup_id) group: vec3u, @builtin(local_invoc
     if !(d.z > 0.0) {
         return;
     }
+#ifdef MASKED
+    if all(d.xy == vec2f(0.0)) {
+        return;
+    }
+#endif
     let row = i * ROW;
     statistics[row] += length(d.xy * view.half_size);
     statistics[row + 1u] += 1.0;

@@ -79,7 +79,7 @@ fn flag(row: &'static TrainOption) -> Arg {
         OptionKind::Bytes => flag
             .value_name("BYTES")
             .value_parser(move |text: &str| is_of_kind(&text.parse::<Bytes>()?.0.to_string())),
-        OptionKind::Positive | OptionKind::ChoiceOrPositive(_) => {
+        OptionKind::Positive | OptionKind::ChoiceOrPositive(_) | OptionKind::ChoiceOrFolder(_) => {
             flag.value_name("X").value_parser(is_of_kind)
         }
     }

@@ -525,6 +525,17 @@ impl NeuralGaussians {
         Ok(())
     }
 
+    /// From now on, a view that gives an offset no gradient is not among those that the statistics count for it: masks hide all that
+    /// the view shows of it.
+    ///
+    /// # Errors
+    /// Faults of the device.
+    pub fn count_views_with_gradient(&mut self) -> Result<()> {
+        let defs: Vec<_> = self.layout.shape.defs().iter().copied().chain([("MASKED", 1)]).collect();
+        self.kernels.anchor_statistics = self.device.kernel(kernel_source!("anchor_statistics"), &defs)?;
+        Ok(())
+    }
+
     /// Records adding the view to the growth statistics, `[N][2 K + 2]` (METHOD.md §2.6); does nothing if `overflow_flag` is set
     /// when it runs.
     ///

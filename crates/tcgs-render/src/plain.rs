@@ -226,6 +226,17 @@ impl PlainGaussians {
         Ok(())
     }
 
+    /// From now on, a view that gives a Gaussian no gradient is not among those that the statistics count for it: masks hide all that
+    /// the view shows of it.
+    ///
+    /// # Errors
+    /// Faults of the device.
+    pub fn count_views_with_gradient(&mut self) -> Result<()> {
+        let defs = [("DEGREE", 0), ("MASKED", 1)];
+        self.gaussian_statistics = self.device.kernel(kernel_source!("gaussian_statistics"), &defs)?;
+        Ok(())
+    }
+
     /// Records adding the view to the growth statistics, `[N][3]`; does nothing if `overflow_flag` is set when it runs.
     ///
     /// # Errors

@@ -18,12 +18,10 @@ use std::{
 use tcgs::{
     codec::{self, EncodeError, EncodeSettings, Encoded},
     domain::{
-        AnchorScene, Background, Dataset, DatasetSummary, ExifOrientation, Image, MemoryLimits, NamedCamera,
-        Problem, ProblemType, Scene, Scores, Split,
+        AnchorScene, Background, Dataset, DatasetSummary, Image, MemoryLimits, NamedCamera, Problem,
+        ProblemType, ReadOptions, Scene, Scores, Split,
     },
-    eval::{
-        InFlight, PerceptualDistance, ViewTasks, band_errors, for_each_view, mean_scores_with, score_view,
-    },
+    eval::{InFlight, PerceptualDistance, Target, ViewTasks, band_errors, for_each_view, mean_scores_with},
     export::anchors,
     gpu::AdapterChoice,
     ingest::{self, LoadBudget},
@@ -65,17 +63,16 @@ pub(crate) struct Inspection {
     pub(crate) text: String,
 }
 
-/// As [`load_oriented`], with EXIF orientations as the cameras have them.
+/// As [`load_as`], read as usual.
 pub(crate) fn load_dataset(path: &Path) -> Result<Dataset, Problem> {
-    load_oriented(path, ExifOrientation::Auto)
+    load_as(path, &ReadOptions::default())
 }
 
 /// Reads a dataset; photographs may use half of the available memory.
-pub(crate) fn load_oriented(path: &Path, orientation: ExifOrientation) -> Result<Dataset, Problem> {
+pub(crate) fn load_as(path: &Path, reading: &ReadOptions) -> Result<Dataset, Problem> {
     let host = MemoryFlags::default().limits(1).host;
     let load_budget = LoadBudget { memory_bytes: host / 2, ..LoadBudget::default() };
-    ingest::load_oriented(path, orientation, &load_budget, &|| true)
-        .map_err(|error| named(error.into(), path))
+    ingest::load_as(path, reading, &load_budget, &|| true).map_err(|error| named(error.into(), path))
 }
 
 /// Names the dataset in a problem that names no file in it.
@@ -96,12 +93,12 @@ pub(crate) fn check_dataset(path: &Path) -> Result<(), Problem> {
     ingest::check(path).map(drop).map_err(|problem| named(problem, path))
 }
 
-/// What a dataset holds and its cameras. Pixels are read only where they decide about an EXIF orientation.
+/// What a dataset holds and its cameras. Pixels are read only where they decide how files are read.
 pub(crate) fn survey_dataset(
     path: &Path,
-    orientation: ExifOrientation,
+    reading: &ReadOptions,
 ) -> Result<(DatasetSummary, Vec<NamedCamera>), Problem> {
-    ingest::check_oriented(path, orientation).map_err(|problem| named(problem, path))
+    ingest::check_as(path, reading).map_err(|problem| named(problem, path))
 }
 
 /// The cameras of a dataset, without reading its pixels.
@@ -119,8 +116,8 @@ pub(crate) fn high_band_error(
     let tasks = ViewTasks::<_, Problem> {
         render: &mut |frame| renderer.view(&frame.camera),
         process: &|frame, render| {
-            let photograph = frame.image.load()?.over(background.rgb8());
-            Ok(band_errors(&render, &photograph).map(|error| error.high))
+            let target = Target::of(frame, background)?;
+            Ok(band_errors(&target.masked(&render), target.photograph()).map(|error| error.high))
         },
         collect: &mut |error| {
             errors.extend(error);
@@ -235,19 +232,19 @@ pub(crate) fn score(
         },
         process: &|frame, render| {
             let name = &frame.name;
-            let photograph = frame.image.load().map_err(Problem::from)?.over(background.rgb8());
-            let mut score = score_view(name, &render, &photograph).ok_or_else(|| {
+            let target = Target::of(frame, background).map_err(Problem::from)?;
+            let mut score = target.score(name, &render).ok_or_else(|| {
                 let detail = format!("the render of {name} is not of its photograph's size");
                 Problem::new(ProblemType::Internal, detail)
             })?;
             if let Some(lpips) = lpips {
-                let distance = lpips.distance(&render, &photograph);
+                let distance = lpips.distance(&target.masked(&render), target.photograph());
                 score.lpips = Some(distance.map_err(|error| Problem::from(error).in_file(name))?);
             }
-            Ok((score, render, photograph))
+            Ok((score, render, target))
         },
-        collect: &mut |(score, render, photograph)| {
-            each(&score.name, &render, &photograph)?;
+        collect: &mut |(score, render, target)| {
+            each(&score.name, &render, target.photograph())?;
             scores.push(score);
             Ok(())
         },

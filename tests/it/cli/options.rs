@@ -16,6 +16,11 @@ fn schema(kind: OptionKind) -> Value {
     let positive = json!({ "type": "number", "exclusiveMinimum": 0 });
     match kind {
         OptionKind::Choice(names) => json!({ "enum": names }),
+        OptionKind::ChoiceOrFolder(_) => {
+            let part = r"[^/\\?*.\x00-\x1f\x7f-\x9f][^/\\?*\x00-\x1f\x7f-\x9f]*";
+            let pattern = format!("^{part}(/{part})*/?$");
+            json!({ "type": "string", "minLength": 1, "maxLength": 200, "pattern": pattern })
+        }
         OptionKind::Choices(names) => json!({ "type": "array", "items": { "enum": names } }),
         OptionKind::Integer(least, most) => {
             let mut schema = json!({ "type": "integer", "minimum": least });

@@ -14,6 +14,7 @@ pub(super) fn first_files() -> Vec<(&'static str, String, Vec<u8>)> {
         files.into_iter().enumerate().map(move |(number, bytes)| (target, format!("file-{number:02}"), bytes))
     };
     of("transforms_json", texts(&TRANSFORMS))
+        .chain(of("masks", masks()))
         .chain(of("colmap_text", texts(&COLMAP_TEXT)))
         .chain(of("colmap_binary", colmap_binary()))
         .chain(of("ply", [texts(&PLY), vec![to_ply(&scene(3)), binary_points()]].concat()))
@@ -22,6 +23,27 @@ pub(super) fn first_files() -> Vec<(&'static str, String, Vec<u8>)> {
         .chain(of("upload_headers", texts(&HEADERS)))
         .chain(of("ingest_zip", archives()))
         .collect()
+}
+
+/// Masks of every size and name, up to one that is no image.
+fn masks() -> Vec<Vec<u8>> {
+    let png = |width: u32, height: u32, value: u8| {
+        let mut bytes = Cursor::new(Vec::new());
+        let mask =
+            image::GrayImage::from_fn(width, height, |x, _| image::Luma([if x < 3 { value } else { 0 }]));
+        mask.write_to(&mut bytes, image::ImageFormat::Png).expect("encodes");
+        bytes.into_inner()
+    };
+    [
+        ("masks/0.png", png(8, 6, 255)),
+        ("images/0.png.mask.png\nimages/left/1_mask.png\nmasks/right/1.png.png", png(16, 12, 1)),
+        ("images/dynamic_mask_0.png\nsegmentation/0.jpg", png(8, 6, 255)),
+        ("masks/0.png\nmasks/left/1.png\nmasks/right/1.png", png(8, 6, 0)),
+        ("masks/1.png\n../masks/0.png\nmasks//0.png", png(9, 6, 255)),
+        ("mask_0.png\nimages/mask_0.png", b"\x89PNG".to_vec()),
+    ]
+    .map(|(names, content)| [names.as_bytes(), b"\0", &content].concat())
+    .into()
 }
 
 fn texts(files: &[&str]) -> Vec<Vec<u8>> {

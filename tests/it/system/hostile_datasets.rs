@@ -117,14 +117,18 @@ fn claimed_cameras() -> Vec<u8> {
 }
 
 /// A PNG whose header claims a hundred thousand pixels per side.
-fn endless_image() -> Vec<u8> {
+fn endless_png() -> Vec<u8> {
     let mut image = png(8, 6);
     let side = 100_000_u32.to_be_bytes();
     image[16..24].copy_from_slice(&[side, side].concat());
     let mut checked = flate2::Crc::new();
     checked.update(&image[12..29]);
     image[29..33].copy_from_slice(&checked.sum().to_be_bytes());
-    with(transforms(), "0.png", image)
+    image
+}
+
+fn endless_image() -> Vec<u8> {
+    with(transforms(), "0.png", endless_png())
 }
 
 /// What is sent, how it is answered (status, type, file) and a word of the reason.
@@ -291,6 +295,78 @@ fn points_and_images() -> Vec<Row> {
     ]
 }
 
+fn masks() -> Vec<Row> {
+    let stated =
+        |mask: &str| edited(transforms(), "transforms.json", r#"{"fl_x""#, &format!("{{{mask}, \"fl_x\""));
+    let many: Files = (0..5).map(|index| (format!("masks_{index}/0.png"), png(8, 6))).collect();
+    vec![
+        (
+            "masks of nothing",
+            with(transforms(), "masks/x.png", png(8, 6)),
+            422,
+            "dataset-rejected",
+            "",
+            "none of its images (1) has the name",
+        ),
+        (
+            "a mask of another shape",
+            with(transforms(), "masks/0.png", png(6, 8)),
+            422,
+            "dataset-rejected",
+            "masks/0.png",
+            "the mask has (6, 8) pixels",
+        ),
+        (
+            "no mask",
+            with(transforms(), "masks/0.png", "hello"),
+            422,
+            "image-rejected",
+            "masks/0.png",
+            "not a readable",
+        ),
+        (
+            "an endless mask",
+            with(transforms(), "masks/0.png", endless_png()),
+            413,
+            "dataset-too-large",
+            "masks/0.png",
+            "more than 16384 pixels",
+        ),
+        (
+            "a mask that is missing",
+            stated(r#""mask_path": "m.png""#),
+            422,
+            "dataset-rejected",
+            "transforms.json",
+            "the mask 'm.png' is missing",
+        ),
+        (
+            "a mask elsewhere",
+            stated(r#""mask_path": "../m.png""#),
+            422,
+            "table-rejected",
+            "transforms.json",
+            "'..' part",
+        ),
+        (
+            "masks in a list",
+            stated(r#""masks": ["0.png"]"#),
+            422,
+            "dataset-rejected",
+            "transforms.json",
+            "not by the path of one image",
+        ),
+        (
+            "too many masks",
+            zipped(&transforms().into_iter().chain(many).collect()),
+            422,
+            "dataset-rejected",
+            "masks_4/0.png",
+            "one mask too many",
+        ),
+    ]
+}
+
 /// Files in folders of `data` that hold content: blobs, uploads, and what is staged.
 fn kept(data: &Path) -> Vec<String> {
     let mut found = Vec::new();
@@ -326,7 +402,7 @@ async fn every_kind_of_unusable_dataset_is_refused_by_its_type_and_leaves_nothin
     let accepted = kept(data.path());
     let mut wrong = Vec::new();
     for (what, archive, status, kind, file, words) in
-        archives().into_iter().chain(tables()).chain(points_and_images())
+        archives().into_iter().chain(tables()).chain(points_and_images()).chain(masks())
     {
         for path in ["/v1/jobs", "/v1/scenes"] {
             let answer = service

@@ -7,7 +7,8 @@ use tcgs::{
     codec::{ContextSettings, EncodeSettings, Provenance, encode, inspect},
     domain::{
         AnchorScene, Background, Camera, CancelFlag, Component, Dataset, Digest, Frame, GaussianScene, Image,
-        Intrinsics, Layout, ModelKind, PointCloud, Pose, Progress, Scene, SceneFrame, Split, TrainOptions,
+        Intrinsics, Layout, ModelKind, PixelMask, PointCloud, Pose, Progress, Scene, SceneFrame, Split,
+        TrainOptions,
     },
     eval::{mean_scores, measure_views},
     render::{
@@ -74,7 +75,7 @@ pub(crate) fn dataset() -> Dataset {
     let frames = (0..9).map(|index| {
         let split = if index == 4 { Split::Test } else { Split::Train };
         let camera = camera(index);
-        Frame { name: format!("{index}"), camera, image: photograph(&camera).into(), split }
+        Frame { name: format!("{index}"), camera, image: photograph(&camera).into(), mask: None, split }
     });
     Dataset {
         layout: Layout::Colmap,
@@ -122,6 +123,45 @@ fn psnr(scene: &Scene, dataset: &Dataset, split: Split) -> f64 {
     let frames: Vec<&Frame> = dataset.split(split).collect();
     let views = measure_views(&mut renderer, &frames, background).expect("scores");
     mean_scores(&views).psnr.expect("frames")
+}
+
+/// The data set with a red part in every photograph to train on, a mask over that part and its surroundings, or neither.
+fn painted(red: bool, masked: bool) -> Dataset {
+    let mut painted = dataset();
+    for (index, frame) in
+        painted.frames.iter_mut().enumerate().filter(|(_, frame)| frame.split == Split::Train)
+    {
+        // The part moves, so that each place is seen in other photographs.
+        let side = SIDE / 4;
+        let [left, top] = [5, 7].map(|step| (index as u32 * step) % (SIDE - side));
+        let inside = |x: u32, y: u32, margin: u32| {
+            (left..left + side + 2 * margin).contains(&(x + margin))
+                && (top..top + side + 2 * margin).contains(&(y + margin))
+        };
+        let image = frame.image.load().expect("in memory");
+        let pixels = image.samples().chunks_exact(3).zip(0..);
+        let samples = pixels.flat_map(|(p, at): (&[u8], u32)| {
+            if red && inside(at % SIDE, at / SIDE, 0) { [255, 0, 0] } else { [p[0], p[1], p[2]] }
+        });
+        frame.image = Image::new(SIDE, SIDE, 3, samples.collect()).expect("an image").into();
+        frame.mask = masked.then(|| PixelMask::from_fn(SIDE, SIDE, |x, y| !inside(x, y, 1)));
+    }
+    painted
+}
+
+#[test]
+fn what_masks_hide_is_not_learnt_by_any_model() {
+    for options in [options(80, 0), plain(80, 0)] {
+        let held_out = |red, masked| {
+            let (trained, _) = run(&painted(red, masked), &options);
+            psnr(&trained.scene, &dataset(), Split::Test)
+        };
+        let (clean, red, masked) = (held_out(false, false), held_out(true, false), held_out(true, true));
+        assert!(masked > clean - 2.5 && masked > red + 0.1, "clean {clean}, red {red}, masked {masked}");
+        let (hidden, _) = run(&painted(true, true), &options);
+        let (same, _) = run(&painted(false, true), &options);
+        assert!(hidden.scene == same.scene, "no bit depends on what is hidden");
+    }
 }
 
 #[test]

@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use thiserror::Error;
 
-use super::choice::named_choice;
+use super::{ExifOrientation, MaskMode, MaskSource, ReadOptions, choice::named_choice};
 
 /// Most iterations of a run.
 pub const MAX_ITERATIONS: u32 = 1_000_000;
@@ -33,18 +33,6 @@ pub struct OptionError {
 impl OptionError {
     fn new(option: &'static str, error: impl Into<String>) -> Self {
         Self { option, error: error.into() }
-    }
-}
-
-named_choice! {
-    /// Whether photographs are turned as the EXIF orientation in them says.
-    pub enum ExifOrientation {
-        /// Where the cameras are those of the turned pixels.
-        Auto = "auto",
-        /// Always.
-        Apply = "apply",
-        /// Never.
-        Ignore = "ignore",
     }
 }
 
@@ -201,6 +189,12 @@ pub struct TrainOptions {
     /// Whether photographs are turned as their EXIF orientation says; serialized only if it is stated.
     #[serde(skip_serializing_if = "is_auto")]
     pub exif_orientation: ExifOrientation,
+    /// Where masks are; serialized only if it is stated.
+    #[serde(skip_serializing_if = "is_anywhere")]
+    pub masks: MaskSource,
+    /// What masks and transparency mean; serialized only if it is stated.
+    #[serde(skip_serializing_if = "is_usual")]
+    pub mask_mode: MaskMode,
 }
 
 /// Whether a number stays positive and normal in single precision.
@@ -216,6 +210,15 @@ fn is_full(until: &Until) -> bool {
 #[expect(clippy::trivially_copy_pass_by_ref, reason = "serde passes a reference")]
 fn is_auto(orientation: &ExifOrientation) -> bool {
     *orientation == ExifOrientation::Auto
+}
+
+fn is_anywhere(masks: &MaskSource) -> bool {
+    *masks == MaskSource::Auto
+}
+
+#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde passes a reference")]
+fn is_usual(mode: &MaskMode) -> bool {
+    *mode == MaskMode::Auto
 }
 
 impl Default for TrainOptions {
@@ -234,11 +237,20 @@ impl Default for TrainOptions {
             max_bytes: None,
             rd_curve: Vec::new(),
             exif_orientation: ExifOrientation::Auto,
+            masks: MaskSource::Auto,
+            mask_mode: MaskMode::Auto,
         }
     }
 }
 
 impl TrainOptions {
+    /// How the dataset is read.
+    #[must_use]
+    pub fn reading(&self) -> ReadOptions {
+        let Self { exif_orientation, masks, mask_mode, .. } = self;
+        ReadOptions { exif_orientation: *exif_orientation, masks: masks.clone(), mask_mode: *mask_mode }
+    }
+
     /// Whether a part of the method takes part: the baselines have none of them.
     #[must_use]
     pub fn has(&self, part: Component) -> bool {
@@ -392,6 +404,8 @@ pub enum OptionKind {
     Positives(usize),
     /// One of these names, or a positive number.
     ChoiceOrPositive(&'static [&'static str]),
+    /// One of these names, or the path of a folder in the dataset.
+    ChoiceOrFolder(&'static [&'static str]),
 }
 
 impl fmt::Display for OptionKind {
@@ -404,6 +418,9 @@ impl fmt::Display for OptionKind {
             OptionKind::Positive => f.write_str("a positive number"),
             OptionKind::Positives(max) => write!(f, "a list of at most {max} positive numbers"),
             OptionKind::ChoiceOrPositive(names) => write!(f, "{} or a positive number", names.join(", ")),
+            OptionKind::ChoiceOrFolder(names) => {
+                write!(f, "{} or the path of a folder in the dataset", names.join(", "))
+            }
         }
     }
 }
@@ -416,11 +433,14 @@ impl OptionKind {
     /// A value of this kind in JSON as it would stand in a query string; `None` for a value of another kind.
     fn text_of(self, value: &Value) -> Option<String> {
         let one = |value: &Value| match (self, value) {
-            (OptionKind::Choice(_) | OptionKind::Choices(_), Value::String(text)) => Some(text.clone()),
+            (
+                OptionKind::Choice(_) | OptionKind::Choices(_) | OptionKind::ChoiceOrFolder(_),
+                Value::String(text),
+            ) => Some(text.clone()),
             (OptionKind::ChoiceOrPositive(names), Value::String(text)) => {
                 names.contains(&text.as_str()).then(|| text.clone())
             }
-            (OptionKind::Choice(_) | OptionKind::Choices(_), _) => None,
+            (OptionKind::Choice(_) | OptionKind::Choices(_) | OptionKind::ChoiceOrFolder(_), _) => None,
             (_, Value::Number(number)) => Some(number.to_string()),
             _ => None,
         };
@@ -494,7 +514,7 @@ impl TrainOption {
 
 /// Every option of a training run. The command line's flags, the query string and JSON are read by it, and a test holds `openapi.yaml`
 /// to it.
-pub static TRAIN_OPTIONS: [TrainOption; 14] = [
+pub static TRAIN_OPTIONS: [TrainOption; 16] = [
     TrainOption {
         name: "preset",
         kind: OptionKind::Choice(Preset::NAMES),
@@ -624,6 +644,22 @@ pub static TRAIN_OPTIONS: [TrainOption; 14] = [
         ),
         set: |options, text| text.parse().ok().map(|orientation| options.exif_orientation = orientation),
     },
+    TrainOption {
+        name: "masks",
+        kind: OptionKind::ChoiceOrFolder(&["auto", "none"]),
+        default: Some("auto"),
+        help: Some("Masks of photographs: auto finds them by their names; none reads photographs whole"),
+        set: |options, text| text.parse().ok().map(|masks| options.masks = masks),
+    },
+    TrainOption {
+        name: "mask_mode",
+        kind: OptionKind::Choice(MaskMode::NAMES),
+        default: Some("auto"),
+        help: Some(
+            "What masks and transparency mean: auto ignores what masks hide and cuts out what is transparent",
+        ),
+        set: |options, text| text.parse().ok().map(|mode| options.mask_mode = mode),
+    },
 ];
 
 /// As much of a value as a message repeats.
@@ -671,7 +707,9 @@ mod tests {
     fn every_field_has_its_row_with_its_default() {
         let with = Component::ALL.iter().copied().collect();
         let exif_orientation = ExifOrientation::Ignore;
-        let all = TrainOptions { with, until: Until::Converged, exif_orientation, ..TrainOptions::default() };
+        let (masks, mask_mode) = (MaskSource::None, MaskMode::Ignore);
+        let until = Until::Converged;
+        let all = TrainOptions { with, until, exif_orientation, masks, mask_mode, ..TrainOptions::default() };
         let fields = serde_json::to_value(all).expect("JSON");
         let fields: BTreeSet<&str> =
             fields.as_object().expect("an object").keys().map(String::as_str).collect();

@@ -214,16 +214,67 @@ pub enum IngestErrorKind {
         /// What is wrong with the value.
         message: String,
     },
-    /// Masks, which are not supported.
+    /// Masks in a form that is not understood.
     #[error(
-        "{place} there are masks, which are not supported: the whole of every photograph would be trained on. Remove them to \
-         train on whole photographs. If they cut out an object, send photographs that are transparent (RGBA) around it. \
-         If they mean parts to ignore, such as people or a car's hood, transparency does not serve: it is trained as background"
+        "{place}: masks are named here, but not by the path of one image or of a folder; state it as mask_path, or train without \
+         masks (masks=none)"
     )]
     Masks {
         /// Where they are.
         place: String,
     },
+    /// A mask that a file states is not in the dataset.
+    #[error("{place}: the mask '{path}' is missing; add it, or train without masks (masks=none)")]
+    MissingMask {
+        /// The field that states it.
+        place: String,
+        /// The path.
+        path: String,
+    },
+    /// A folder of masks without masks of the photographs.
+    #[error(
+        "{folder}/ looks like a folder of masks, but none of its images ({images}) has the name of a photograph: name the mask of \
+         'a.jpg' 'a.jpg.png' or 'a.png', rename the folder, or train without masks (masks=none)"
+    )]
+    NoMaskMatches {
+        /// The folder.
+        folder: String,
+        /// How many images it has.
+        images: usize,
+    },
+    /// There is no image in the folder that the option `masks` names.
+    #[error("masks: there is no image in '{folder}/'; name a folder of the dataset, auto or none")]
+    NoMaskFolder {
+        /// The folder.
+        folder: String,
+    },
+    /// A mask whose name several photographs have.
+    #[error(
+        "several photographs have the name of this mask; put masks into folders as the photographs are: the mask of \
+         'images/left/a.jpg' into 'masks/left/'"
+    )]
+    AmbiguousMask,
+    /// More masks for one photograph than are read.
+    #[error("this is one mask too many of its photograph: at most {limit} are read for one")]
+    TooManyMasks {
+        /// The limit.
+        limit: usize,
+    },
+    /// A mask of other proportions than its photograph.
+    #[error(
+        "the mask has {mask:?} pixels and its photograph {photograph:?}; it must have the same size or the same proportions"
+    )]
+    MaskSize {
+        /// Width and height of the mask.
+        mask: (u32, u32),
+        /// Width and height of the photograph.
+        photograph: (u32, u32),
+    },
+    /// Masks that leave nothing to train on.
+    #[error(
+        "masks hide every pixel of every photograph to train on; black is hidden: are black and white swapped?"
+    )]
+    AllHidden,
     /// A camera model without a pinhole equivalent here.
     #[error(
         "{place}: camera model {model} is not supported; supported are SIMPLE_PINHOLE, PINHOLE, \
@@ -473,7 +524,14 @@ impl IngestErrorKind {
             | Self::NoImages
             | Self::DuplicateName(_)
             | Self::UnknownFrame { .. }
-            | Self::Masks { .. } => ProblemType::DatasetRejected,
+            | Self::Masks { .. }
+            | Self::MissingMask { .. }
+            | Self::NoMaskMatches { .. }
+            | Self::NoMaskFolder { .. }
+            | Self::AmbiguousMask
+            | Self::TooManyMasks { .. }
+            | Self::MaskSize { .. }
+            | Self::AllHidden => ProblemType::DatasetRejected,
         }
     }
 }

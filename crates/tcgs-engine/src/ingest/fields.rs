@@ -18,14 +18,17 @@ const MODEL_CHARS: usize = 40;
 /// How much of a field's name, or of a JSON pointer, is kept.
 const POINTER_CHARS: usize = 100;
 
+/// Most bytes of a path of masks.
+const PATH_BYTES: usize = 4096;
+
 /// A transforms file.
 #[derive(Debug)]
 pub(super) struct Document {
     pub(super) camera: CameraFields,
     pub(super) frames: Vec<FrameFields>,
     pub(super) ply_file_path: Option<String>,
-    /// JSON pointer to the first path of masks that is stated for all frames.
-    pub(super) mask: Option<String>,
+    /// The first path of masks that is stated for all frames.
+    pub(super) mask: Option<MaskField>,
     pub(super) train_filenames: Option<Names>,
     pub(super) val_filenames: Option<Names>,
     pub(super) test_filenames: Option<Names>,
@@ -37,8 +40,17 @@ pub(super) struct FrameFields {
     pub(super) camera: CameraFields,
     pub(super) file_path: String,
     pub(super) transform_matrix: Matrix,
-    /// JSON pointer, from the frame, to the path of its mask.
-    pub(super) mask: Option<String>,
+    /// The path of its mask; its pointer is from the frame.
+    pub(super) mask: Option<MaskField>,
+}
+
+/// A field that names masks.
+#[derive(Debug, PartialEq)]
+pub(super) struct MaskField {
+    /// JSON pointer to it.
+    pub(super) pointer: String,
+    /// The path that it states, if it states one and a file can have it.
+    pub(super) path: Option<String>,
 }
 
 /// What may be stated once for all frames or for each of them.
@@ -106,8 +118,12 @@ enum Field {
 }
 
 impl CameraFields {
-    /// Reads the value of a field, or skips it if it is not one of a camera. Returns the JSON pointer to a path of masks in it.
-    fn read<'de, A: MapAccess<'de>>(&mut self, key: &Key, map: &mut A) -> Result<Option<String>, A::Error> {
+    /// Reads the value of a field, or skips it if it is not one of a camera. Returns what names masks in it.
+    fn read<'de, A: MapAccess<'de>>(
+        &mut self,
+        key: &Key,
+        map: &mut A,
+    ) -> Result<Option<MaskField>, A::Error> {
         let number = match key.field {
             Field::CameraModel => {
                 self.camera_model = map.next_value::<Option<ModelName>>()?.map(|name| name.0);
@@ -173,19 +189,21 @@ impl<'de> Deserialize<'de> for Key {
 struct Unused {
     /// Whether it is a text, an array or an object with anything in it.
     has_content: bool,
-    /// JSON pointer, from the value, to the first path of masks in it.
-    mask: Option<String>,
+    /// The text that it is, unless that is too long for a file's name.
+    text: Option<String>,
+    /// The first path of masks in it; its pointer is from the value.
+    mask: Option<MaskField>,
 }
 
 impl Unused {
-    const NOTHING: Self = Self { has_content: false, mask: None };
+    const NOTHING: Self = Self { has_content: false, text: None, mask: None };
 
-    /// The pointer, from the parent, if the value stands under this name.
-    fn mask_under(self, name: &str) -> Option<String> {
+    /// What names masks, from the parent, if the value stands under this name.
+    fn mask_under(self, name: &str) -> Option<MaskField> {
         if self.has_content && is_mask_field(name) {
-            return Some(cut(&format!("/{name}")));
+            return Some(MaskField { pointer: cut(&format!("/{name}")), path: self.text });
         }
-        self.mask.map(|rest| cut(&format!("/{name}{rest}")))
+        self.mask.map(|rest| MaskField { pointer: cut(&format!("/{name}{}", rest.pointer)), ..rest })
     }
 }
 
@@ -221,7 +239,8 @@ impl<'de> Deserialize<'de> for Unused {
             }
 
             fn visit_str<E>(self, text: &str) -> Result<Unused, E> {
-                Ok(Unused { has_content: !text.is_empty(), mask: None })
+                let kept = (text.len() <= PATH_BYTES).then(|| text.to_owned());
+                Ok(Unused { has_content: !text.is_empty(), text: kept, mask: None })
             }
 
             fn visit_seq<A: SeqAccess<'de>>(self, mut sequence: A) -> Result<Unused, A::Error> {
@@ -338,7 +357,9 @@ impl<'de> Deserialize<'de> for Frames {
         let mut counter = RecordCounter::of("frames");
         gathered(deserializer, "an array of frames", move |frame: &FrameFields| {
             counter.add(1)?;
-            counter.name(&frame.file_path)
+            counter.name(&frame.file_path)?;
+            let mask = frame.mask.as_ref().and_then(|mask| mask.path.as_deref());
+            mask.map_or(Ok(()), |path| counter.name(path))
         })
         .map(Self)
     }
@@ -485,6 +506,7 @@ mod tests {
 
     #[test]
     fn paths_of_masks_are_found_at_any_level() {
+        let pointer = |mask: &Option<MaskField>| mask.as_ref().map(|mask| mask.pointer.clone());
         let frame = FRAME.strip_suffix('}').expect("an object");
         for (text, shared, own) in [
             (format!(r#"{{"mask_path": "m.png", "frames": [{FRAME}]}}"#), Some("/mask_path"), None),
@@ -508,13 +530,13 @@ mod tests {
         ] {
             let document = parsed(&text).expect("a document");
             assert_eq!(
-                (document.mask.as_deref(), document.frames[0].mask.as_deref()),
-                (shared, own),
+                (pointer(&document.mask), pointer(&document.frames[0].mask)),
+                (shared.map(str::to_owned), own.map(str::to_owned)),
                 "{text}"
             );
         }
         let deep = format!(r#"{{"{}": {{"mask_path": "m"}}, "frames": []}}"#, "x".repeat(5000));
-        assert_eq!(parsed(&deep).expect("a document").mask.expect("masks").len(), POINTER_CHARS);
+        assert_eq!(parsed(&deep).expect("a document").mask.expect("masks").pointer.len(), POINTER_CHARS);
     }
 
     #[test]

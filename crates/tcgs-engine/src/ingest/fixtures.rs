@@ -76,12 +76,12 @@ pub(super) fn file(bytes: &[u8]) -> TempFile {
     TempFile { path, _folder: folder }
 }
 
-/// A PNG of one color with alpha.
+/// A PNG of one color, with alpha unless it is opaque.
 pub(super) fn png((width, height): (u32, u32), color: [u8; 4]) -> Vec<u8> {
     let mut bytes = Cursor::new(Vec::new());
-    DynamicImage::from(ImageBuffer::from_pixel(width, height, Rgba(color)))
-        .write_to(&mut bytes, ImageFormat::Png)
-        .expect("encodes");
+    let image = DynamicImage::from(ImageBuffer::from_pixel(width, height, Rgba(color)));
+    let image = if color[3] == 255 { image.into_rgb8().into() } else { image };
+    image.write_to(&mut bytes, ImageFormat::Png).expect("encodes");
     bytes.into_inner()
 }
 

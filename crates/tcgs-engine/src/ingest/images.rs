@@ -22,6 +22,10 @@ const FIRST_BYTES: u64 = 64 << 10;
 /// Bytes that a decoder may allocate besides pixels, for color profiles and the like.
 const DECODER_BYTES: u64 = 4 << 20;
 
+/// Bytes a pixel of the stored image that decoding takes at most: 16-bit RGBA beside its 8-bit copy, or 8-bit RGB beside what a
+/// progressive JPEG keeps.
+pub(super) const DECODE_BYTES: u64 = 12;
+
 /// Bytes a pixel of the widest pixel format that is decoded (16-bit RGBA).
 const MAX_PIXEL_BYTES: u64 = 8;
 

@@ -1,16 +1,6 @@
-//! Refuses datasets with masks: ignoring them would train another scene than their owner expects.
-//!
-//! Masks are found by the names that capture programs and trainers give them: a folder of masks, a mask beside its photograph, or a
-//! path in a transforms file. A photograph that a table lists is none, whatever its name.
+//! How masks are named: by capture programs, by trainers, and in transforms files.
 
-use std::collections::BTreeSet;
-
-use super::{
-    error::{IngestError, IngestErrorKind},
-    images::is_image_name,
-    plan::folder_of,
-    tree::Tree,
-};
+use super::images::is_image_name;
 
 /// Words in the name of a folder of masks.
 const FOLDER_WORDS: [&str; 10] = [
@@ -50,30 +40,8 @@ const PATH_WORDS: [&str; 14] = [
 /// How many words may stand between a photograph's name and the word for a mask, as in `0001_sky_mask.png`.
 const QUALIFIERS: usize = 2;
 
-/// Refuses a tree with masks among the images that are not `listed`.
-///
-/// # Errors
-/// [`IngestErrorKind::Masks`], at the first mask by name.
-pub(super) fn refuse_masks(tree: &Tree, listed: &BTreeSet<&str>) -> Result<(), IngestError> {
-    let photographs: BTreeSet<String> = listed
-        .iter()
-        .flat_map(|file| [name_of(file), stem_of(name_of(file))])
-        .map(str::to_lowercase)
-        .collect();
-    for image in tree.names().filter(|name| is_image_name(name) && !listed.contains(name)) {
-        let folder = folder_of(image);
-        if folder.split('/').any(is_mask_folder) {
-            return Err(IngestErrorKind::Masks { place: format!("in {folder}/") }.at(image));
-        }
-        let is_beside = || listed.iter().any(|file| folder_of(file) == folder);
-        if is_mask_of(name_of(image), &photographs) && is_beside() {
-            return Err(IngestErrorKind::Masks { place: "beside the photographs".to_owned() }.at(image));
-        }
-    }
-    Ok(())
-}
-
-fn is_mask_folder(folder: &str) -> bool {
+/// Whether a part of a path is the name of a folder of masks.
+pub(super) fn is_mask_folder(folder: &str) -> bool {
     words(folder).any(|(_, word)| FOLDER_WORDS.contains(&word.to_lowercase().as_str()))
 }
 
@@ -84,22 +52,36 @@ pub(super) fn is_mask_field(name: &str) -> bool {
         && words.last().is_some_and(|last| PATH_WORDS.contains(&last.as_str()))
 }
 
-/// Whether an image is named after one of `photographs`, which are names and stems in lower case, and called a mask: `a.jpg.mask.png`,
-/// `a_mask.png`, `dynamic_mask_a.png`; or has that very name and another extension behind it, as COLMAP names masks.
-fn is_mask_of(image: &str, photographs: &BTreeSet<String>) -> bool {
+/// Whether a mask is named as instant-ngp names those of moving things, `dynamic_mask_a.png`, in which white is what is hidden.
+pub(super) fn is_dynamic(file: &str) -> bool {
+    file.split('/').any(|part| {
+        let words: Vec<String> = words(part).map(|(_, word)| word.to_lowercase()).collect();
+        words.windows(2).any(|pair| pair[0] == "dynamic" && MASK_WORDS.contains(&pair[1].as_str()))
+    })
+}
+
+/// The names that the photograph of a mask may have, with or without an extension, in lower case, the most likely one first; of a mask
+/// in a folder of masks, its own name is among them. So `a.jpg` is for `a.jpg.mask.png`, `a.jpg_mask.png` and, as COLMAP names masks,
+/// `a.jpg.png`; and `a` is for `a_mask.png`, `a_sky_mask.png` and `dynamic_mask_a.png`.
+pub(super) fn photographs_of(image: &str, in_folder: bool) -> Vec<String> {
     let stem = stem_of(image);
-    if is_image_name(stem) && photographs.contains(&stem.to_lowercase()) {
-        return true;
+    let mut names = Vec::new();
+    if in_folder {
+        names.push(image.to_lowercase());
+    }
+    if in_folder || is_image_name(stem) {
+        names.push(stem.to_lowercase());
     }
     let is_mask = |(_, word): &(usize, &str)| MASK_WORDS.contains(&word.to_lowercase().as_str());
     let found: Vec<_> = words(stem).collect();
     let (Some(first), Some(last)) = (found.iter().position(is_mask), found.iter().rposition(is_mask)) else {
-        return false;
+        return names;
     };
-    let is_photograph = |text: &str| photographs.contains(&text.trim_matches(is_separator).to_lowercase());
     let before = (0..=QUALIFIERS.min(first)).map(|qualifiers| &stem[..found[first - qualifiers].0]);
     let after = (last + 1..found.len()).take(1 + QUALIFIERS).map(|word| &stem[found[word].0..]);
-    before.chain(after).any(is_photograph)
+    let trimmed = before.chain(after).map(|text| text.trim_matches(is_separator).to_lowercase());
+    names.extend(trimmed.filter(|text| !text.is_empty()));
+    names
 }
 
 fn is_separator(c: char) -> bool {
@@ -126,11 +108,11 @@ fn words(name: &str) -> impl Iterator<Item = (usize, &str)> {
     })
 }
 
-fn name_of(file: &str) -> &str {
+pub(super) fn name_of(file: &str) -> &str {
     file.rsplit_once('/').map_or(file, |(_, name)| name)
 }
 
-fn stem_of(name: &str) -> &str {
+pub(super) fn stem_of(name: &str) -> &str {
     name.rsplit_once('.').map_or(name, |(stem, _)| stem)
 }
 
@@ -169,7 +151,8 @@ mod tests {
     #[test]
     fn masks_are_named_after_their_photographs() {
         let photographs = ["0001.jpg", "0001", "mask_28.jpg", "mask_28", "übung.png", "übung"];
-        let photographs = photographs.map(str::to_owned).into();
+        let is_mask_of =
+            |image| photographs_of(image, false).iter().any(|name| photographs.contains(&name.as_str()));
         for image in [
             "0001.jpg.mask.png",
             "0001.mask.png",
@@ -183,12 +166,30 @@ mod tests {
             "0001Mask.png",
             "Übung_mask.png",
         ] {
-            assert!(is_mask_of(image, &photographs), "{image}");
+            assert!(is_mask_of(image), "{image}");
         }
         for image in
             ["mask_29.jpg", "0002_mask.png", "0001.png", "0001_depth.png", "0001_masked.png", "mask.png"]
         {
-            assert!(!is_mask_of(image, &photographs), "{image}");
+            assert!(!is_mask_of(image), "{image}");
+        }
+    }
+
+    #[test]
+    fn masks_in_a_folder_may_have_the_names_of_their_photographs() {
+        assert_eq!(photographs_of("0001.PNG", true), ["0001.png", "0001"]);
+        assert_eq!(photographs_of("0001.jpg.png", true), ["0001.jpg.png", "0001.jpg"]);
+        assert!(photographs_of("0001_mask.png", true).contains(&"0001".to_owned()));
+        assert!(photographs_of("mask.png", false).is_empty());
+    }
+
+    #[test]
+    fn masks_of_moving_things_are_told_from_others() {
+        for file in ["images/dynamic_mask_1.png", "dynamic_masks/1.png", "a/DynamicMask1.png"] {
+            assert!(is_dynamic(file), "{file}");
+        }
+        for file in ["images/mask_1.png", "dynamic/1_mask.png", "masks/dynamic.png"] {
+            assert!(!is_dynamic(file), "{file}");
         }
     }
 

@@ -2,8 +2,8 @@
 //!
 //! In order: `tree` lists files by safe names (from `folder`, or `archive` behind `end_record`) within `limits`; `transforms` (with
 //! `bounded_json` and `fields`) or `colmap` reads the tables into a `plan` of frames, lenses and poses; `survey` reads image headers and
-//! computes the final cameras; `images`, `orientation`, `distortion` and `sampling` produce the pixels. `masks` and `unused` see to it that nothing in a dataset is
-//! left out in silence.
+//! computes the final cameras; `images`, `orientation`, `distortion` and `sampling` produce the pixels; `mask_search` (with `masks`) and
+//! `mask_reader` (with `mask_pixels`) find masks and read them. `unused` sees to it that nothing in a dataset is left out in silence.
 //!
 //! Memory is bounded by a [`LoadBudget`]: as many photographs are decoded in parallel as it allows, they stay in memory as long as they
 //! fit, and the others go to a temporary file (`spill`).
@@ -24,10 +24,14 @@ mod distortion;
 mod end_record;
 mod error;
 mod fields;
+mod finish;
 mod folder;
 mod images;
 mod lens;
 mod limits;
+mod mask_pixels;
+mod mask_reader;
+mod mask_search;
 mod masks;
 mod names;
 mod orientation;
@@ -51,6 +55,8 @@ mod video;
 
 #[cfg(test)]
 mod fixtures;
+#[cfg(test)]
+mod mask_tests;
 #[cfg(test)]
 mod report_tests;
 #[cfg(test)]
@@ -78,7 +84,7 @@ use self::{
     tree::{Purpose, Tree},
 };
 use crate::domain::{
-    Bytes, Dataset, DatasetSummary, ExifOrientation, Frame, NamedCamera, Photograph, Problem,
+    Bytes, Dataset, DatasetSummary, Frame, NamedCamera, Photograph, PixelMask, Problem, ReadOptions, Split,
 };
 
 /// Reads a dataset from a directory or a zip file, whichever `path` is.
@@ -121,20 +127,21 @@ pub fn load_cancellable(
     budget: &LoadBudget,
     should_continue: &(dyn Fn() -> bool + Sync),
 ) -> Result<Dataset, IngestError> {
-    load_oriented(path, ExifOrientation::Auto, budget, should_continue)
+    load_as(path, &ReadOptions::default(), budget, should_continue)
 }
 
-/// As [`load_cancellable`], with EXIF orientations of the caller's choice.
+/// As [`load_cancellable`], read as the caller chooses.
 ///
 /// # Errors
 /// As [`load_cancellable`].
-pub fn load_oriented(
+pub fn load_as(
     path: &Path,
-    orientation: ExifOrientation,
+    reading: &ReadOptions,
     budget: &LoadBudget,
     should_continue: &(dyn Fn() -> bool + Sync),
 ) -> Result<Dataset, IngestError> {
-    let options = SurveyOptions { orientation, decode_bytes: budget.memory_bytes, should_continue };
+    let reading = reading.clone();
+    let options = SurveyOptions { reading, decode_bytes: budget.memory_bytes, should_continue };
     load_with(path, &Limits::default(), budget, &options)
 }
 
@@ -167,19 +174,17 @@ pub fn cameras(path: &Path) -> Result<Vec<NamedCamera>, Problem> {
 /// # Errors
 /// As [`load`].
 pub fn check_with_cameras(path: &Path) -> Result<(DatasetSummary, Vec<NamedCamera>), Problem> {
-    check_oriented(path, ExifOrientation::Auto)
+    check_as(path, &ReadOptions::default())
 }
 
-/// As [`check_with_cameras`], with EXIF orientations of the caller's choice.
+/// As [`check_with_cameras`], read as the caller chooses.
 ///
 /// # Errors
 /// As [`load`].
-pub fn check_oriented(
-    path: &Path,
-    orientation: ExifOrientation,
-) -> Result<(DatasetSummary, Vec<NamedCamera>), Problem> {
+pub fn check_as(path: &Path, reading: &ReadOptions) -> Result<(DatasetSummary, Vec<NamedCamera>), Problem> {
     let decode_bytes = LoadBudget::default().memory_bytes;
-    let options = SurveyOptions { orientation, decode_bytes, should_continue: &|| true };
+    let reading = reading.clone();
+    let options = SurveyOptions { reading, decode_bytes, should_continue: &|| true };
     match survey_for(Purpose::Load, path, &Limits::default(), &options) {
         Ok(survey) => Ok((survey.summary(), survey.into_cameras())),
         Err(error) if is_without_layout(&error) => {
@@ -220,17 +225,31 @@ fn load_tree(
             if !(options.should_continue)() {
                 return Err(IngestErrorKind::Stopped.into());
             }
-            let image = store.photograph(&tree, &view, limits)?;
-            Ok(Frame { name: view.frame.name, camera: view.camera, image, split: view.frame.split })
+            let (image, mask) = store.photograph(&tree, &view, limits)?;
+            Ok(Frame { name: view.frame.name, camera: view.camera, image, mask, split: view.frame.split })
         })
         .collect();
-    Ok(Dataset {
-        layout: survey.layout,
-        frames: frames.into_iter().collect::<Result<_, _>>()?,
-        points: survey.points,
-        digest: tree.digest(),
-        notes: survey.notes,
-    })
+    let frames: Vec<Frame> = frames.into_iter().collect::<Result<_, _>>()?;
+    let mut notes = survey.notes;
+    let frames = without_hidden(frames, &mut notes)?;
+    Ok(Dataset { layout: survey.layout, frames, points: survey.points, digest: tree.digest(), notes })
+}
+
+/// The frames of which any pixel counts.
+///
+/// # Errors
+/// [`IngestErrorKind::AllHidden`] if there is none to train on.
+fn without_hidden(mut frames: Vec<Frame>, notes: &mut Vec<String>) -> Result<Vec<Frame>, IngestError> {
+    let before = frames.len();
+    frames.retain(|frame| frame.mask.as_ref().is_none_or(|mask| mask.counted() > 0));
+    if !frames.iter().any(|frame| frame.split == Split::Train) {
+        return Err(IngestErrorKind::AllHidden.into());
+    }
+    if frames.len() < before {
+        let hidden = before - frames.len();
+        notes.push(format!("photographs of which masks hide every pixel, left out: {hidden}"));
+    }
+    Ok(frames)
 }
 
 /// Where photographs go once they are decoded, and how many are decoded at a time.
@@ -271,17 +290,19 @@ impl Store {
         tree: &Tree,
         view: &SurveyedFrame,
         limits: &Limits,
-    ) -> Result<Photograph, IngestError> {
+    ) -> Result<(Photograph, Option<PixelMask>), IngestError> {
         let _held = self.decoding.acquire(Self::decode_bytes(tree, view));
         let file = &view.frame.file;
         let bytes = tree.read(file)?;
-        let image = images::decode(&bytes, view.turn, limits)
-            .and_then(|image| view.finish(image))
-            .map_err(|error| error.at(file))?;
-        if self.kept.try_keep(image.samples().len() as u64) {
-            Ok(image.into())
+        let image = images::decode(&bytes, view.turn, limits).map_err(|error| error.at(file))?;
+        drop(bytes);
+        let (image, mask) = view.finish_with_masks(tree, image, limits)?;
+        // A mask stays in memory in any case: it has a 24th of the bytes.
+        let mask_bytes = mask.as_ref().map_or(0, PixelMask::bytes_in_memory);
+        if self.kept.try_keep(mask_bytes + image.samples().len() as u64) {
+            Ok((image.into(), mask))
         } else {
-            Ok(self.spill.put(&image)?)
+            Ok((self.spill.put(&image)?, mask))
         }
     }
 }
@@ -308,7 +329,7 @@ fn survey_for(
 fn check_by(deadline: Deadline, path: &Path, limits: &Limits) -> Result<DatasetSummary, IngestError> {
     // No pixel is decoded: the memory of a check has a bound that one photograph exceeds.
     let options =
-        SurveyOptions { orientation: ExifOrientation::Auto, decode_bytes: 0, should_continue: &|| true };
+        SurveyOptions { reading: ReadOptions::default(), decode_bytes: 0, should_continue: &|| true };
     match survey_for(Purpose::Check(deadline), path, limits, &options) {
         Ok(survey) => Ok(survey.summary()),
         Err(error) if is_without_layout(&error) => unposed::check(deadline, path, limits),

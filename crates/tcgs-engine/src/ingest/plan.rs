@@ -1,6 +1,6 @@
 //! The common result of all layouts: frames with lenses, poses and image files, before any image is opened.
 
-use std::collections::BTreeSet;
+use std::{collections::BTreeSet, sync::Arc};
 
 use super::{
     error::{IngestError, IngestErrorKind, MissingHint, Result},
@@ -74,6 +74,17 @@ impl RecordCounter {
     }
 }
 
+/// A mask as a transforms file states it.
+#[derive(Debug)]
+pub(super) struct StatedMask {
+    /// The file that states it.
+    pub(super) listing: String,
+    /// JSON pointer to the field.
+    pub(super) place: String,
+    /// The path that it states.
+    pub(super) path: Option<String>,
+}
+
 /// One listed frame.
 #[derive(Debug, Clone)]
 pub(super) struct PlannedFrame {
@@ -85,6 +96,8 @@ pub(super) struct PlannedFrame {
     pub(super) lens: usize,
     pub(super) pose: Pose,
     pub(super) split: Split,
+    /// Its mask as the table states it.
+    pub(super) mask: Option<Arc<StatedMask>>,
 }
 
 impl Plan {

@@ -10,7 +10,7 @@ use super::{
     fixtures::{SIZE, Set, blender, colmap, file, nerfstudio, png},
     *,
 };
-use crate::domain::Layout;
+use crate::domain::{ExifOrientation, Layout, ReadOptions};
 
 fn loaded(set: &Set) -> Dataset {
     load(&set.directory().path).expect("a dataset")
@@ -38,65 +38,6 @@ fn replaced(set: &Set, name: &str, from: &str, to: &str) -> Set {
     let text = String::from_utf8(set.0[name].clone()).expect("text");
     assert!(text.contains(from), "{name} has no '{from}'");
     set.clone().with(name, text.replace(from, to))
-}
-
-#[test]
-fn masks_of_every_known_name_are_refused() {
-    for mask in [
-        "images/0.png.mask.png",
-        "images/0.mask.png",
-        "images/0_mask.png",
-        "images/mask_0.png",
-        "images/dynamic_mask_0.png",
-        "images/0.png.png",
-        "Masks/0.png",
-        "MASKS/0.png",
-        "masks_4/0.png",
-        "images/masks/0.png",
-        "dynamic_masks/0.png",
-        "colmap/masks/0.png.png",
-        "segmentation/0.png",
-        "segmentation/deeper/0.jpg",
-    ] {
-        for set in [nerfstudio(), colmap()] {
-            refused(&set.with(mask, png(SIZE, [255; 4])), mask, "there are masks, which are not supported");
-        }
-    }
-    let train = blender().with("train/dynamic_mask_r_0.png", png(SIZE, [255; 4]));
-    refused(&train, "train/dynamic_mask_r_0.png", "beside the photographs there are masks");
-}
-
-#[test]
-fn masks_that_a_transforms_file_names_at_any_level_are_refused() {
-    for (from, to, place) in [
-        ("\"fl_x\"", "\"mask_path\": \"m.png\", \"fl_x\"", "at /mask_path"),
-        (
-            "\"fl_x\"",
-            "\"extra\": {\"dynamic_mask_path\": \"m.png\"}, \"fl_x\"",
-            "at /extra/dynamic_mask_path",
-        ),
-        (
-            "\"file_path\": \"images/2.png\"",
-            "\"file_path\": \"images/2.png\", \"masks\": [\"m\"]",
-            "at /frames/2/masks",
-        ),
-    ] {
-        refused(&nerfstudio().edited("transforms.json", from, to), "transforms.json", place);
-    }
-    let blender =
-        blender().edited("transforms_test.json", "\"frames\"", "\"mask_path\": \"m.png\", \"frames\"");
-    refused(&blender, "transforms_test.json", "at /mask_path");
-}
-
-#[test]
-fn the_advice_on_masks_tells_which_meaning_transparency_serves() {
-    let problem =
-        check(&colmap().with("masks/0.png", png(SIZE, [0; 4])).directory().path).expect_err("masks");
-    for words in
-        ["cut out an object", "transparent (RGBA) around it", "to ignore", "transparency does not serve"]
-    {
-        assert!(problem.detail.contains(words), "'{}' should say '{words}'", problem.detail);
-    }
 }
 
 #[test]
@@ -482,11 +423,15 @@ fn scene(size: (u32, u32), orientation: u8, is_turned: bool, has_colors: bool) -
         .with("sparse/0/points3D.txt", points)
 }
 
+fn reading(exif_orientation: ExifOrientation) -> ReadOptions {
+    ReadOptions { exif_orientation, ..ReadOptions::default() }
+}
+
 /// The pixels of the first frame, and the notes.
 fn first_pixels(set: &Set, orientation: ExifOrientation) -> (Vec<u8>, Vec<String>) {
-    let dataset = load_oriented(&set.directory().path, orientation, &LoadBudget::default(), &|| true)
+    let dataset = load_as(&set.directory().path, &reading(orientation), &LoadBudget::default(), &|| true)
         .expect("a dataset");
-    let summary = check_oriented(&set.directory().path, orientation).expect("a dataset").0;
+    let summary = check_as(&set.directory().path, &reading(orientation)).expect("a dataset").0;
     assert_eq!(summary.notes, dataset.notes);
     let frame = dataset.find_frame("0.png").expect("a frame");
     let image = frame.image.load().expect("in memory");
@@ -532,7 +477,7 @@ fn the_option_overrides_what_is_found() {
     assert_eq!(stored.chunks_exact(3).rev().collect::<Vec<_>>().concat(), upright);
     assert_eq!(notes, ["EXIF orientation not applied to 4 photographs: exif_orientation=ignore"]);
     let quarter = scene(WIDE, 6, true, true).directory();
-    let problem = load_oriented(&quarter.path, ExifOrientation::Ignore, &LoadBudget::default(), &|| true);
+    let problem = load_as(&quarter.path, &reading(ExifOrientation::Ignore), &LoadBudget::default(), &|| true);
     let detail = problem.expect_err("another size").to_string();
     assert!(detail.contains("exif_orientation"), "the option is named: {detail}");
 }

@@ -12,10 +12,12 @@ use super::{
     colmap,
     distortion::{Crop, Distortion},
     error::{IngestError, IngestErrorKind, Result},
-    images::{self, Header},
+    images::{self, DECODE_BYTES, Header},
     lens::{Lens, resized},
     limits::Limits,
-    masks::refuse_masks,
+    mask_pixels::Plane,
+    mask_reader::{FrameMasks, MaskOptions, MaskReader},
+    mask_search::find_masks,
     orientation::{Comparison, Decision, Evidence, EvidenceCounts, MAX_COMPARED, Reading, Unknown, evidence},
     plan::{Plan, PlannedFrame},
     points::Points,
@@ -24,7 +26,7 @@ use super::{
     unused::{Taken, note_unused},
 };
 use crate::domain::{
-    Camera, DatasetSummary, ExifOrientation, Image, Intrinsics, Layout, NamedCamera, PointCloud, Split,
+    Camera, DatasetSummary, Image, Intrinsics, Layout, NamedCamera, PixelMask, PointCloud, ReadOptions, Split,
 };
 
 /// Farthest camera from the origin that single precision can still work with.
@@ -41,8 +43,8 @@ const MAP_RADII: f64 = 20.0;
 
 /// What a survey depends on besides the dataset.
 pub(super) struct SurveyOptions<'a> {
-    /// What EXIF orientations do.
-    pub(super) orientation: ExifOrientation,
+    /// How files are read that may be read in more than one way.
+    pub(super) reading: ReadOptions,
     /// The most memory for decoding an image whose orientation only pixels decide; none is decoded if it takes more.
     pub(super) decode_bytes: u64,
     /// Called before each image's header is read; once it returns false, the survey stops.
@@ -102,11 +104,10 @@ pub(super) struct SurveyedFrame {
     alpha: bool,
     distortion: Distortion,
     crop: Crop,
+    /// The masks, and what they mean.
+    pub(super) masks: FrameMasks,
 }
 
-/// Bytes a pixel of the stored image that decoding takes at most: 16-bit RGBA beside its 8-bit copy, or 8-bit RGB beside what a
-/// progressive JPEG keeps.
-const DECODE_BYTES: u64 = 12;
 /// Bytes a pixel of an image in single precision, as the filter that downscales works on it.
 const FILTER_BYTES: u64 = 16;
 
@@ -115,7 +116,7 @@ impl SurveyedFrame {
     pub(super) fn decode_bytes(&self) -> u64 {
         let (from, to) = (&self.stored, &self.camera.intrinsics);
         let pixels = |width: u32, height: u32| u64::from(width) * u64::from(height);
-        let channels = if self.alpha { 4 } else { 3 };
+        let channels = if self.alpha || self.masks.cuts_out() { 4 } else { 3 };
         // As stored, undistorted, weighted by alpha; then filtered down, then across.
         let mut resampling = channels * pixels(from.width, from.height);
         if !self.distortion.is_none() {
@@ -128,7 +129,26 @@ impl SurveyedFrame {
                 + FILTER_BYTES * pixels(self.crop.width, to.height)
                 + (FILTER_BYTES + channels) * pixels(to.width, to.height);
         }
-        resampling.max(DECODE_BYTES * pixels(from.width, from.height))
+        let masks = self.masks.decode_bytes(pixels(from.width, from.height), self.alpha);
+        resampling.max(DECODE_BYTES * pixels(from.width, from.height)).saturating_add(masks)
+    }
+
+    /// Width and height of the stored and turned image.
+    pub(super) fn stored_size(&self) -> (u32, u32) {
+        (self.stored.width, self.stored.height)
+    }
+
+    /// Which pixels of the finished image count by a mask of the stored and turned one: those of which all that they show does.
+    pub(super) fn finish_mask(&self, plane: Plane) -> Option<PixelMask> {
+        let plane = if self.distortion.is_none() {
+            plane
+        } else {
+            let image = plane.to_image()?;
+            drop(plane);
+            Plane::of_image(&self.distortion.undistort(&image, &self.stored, self.crop))
+        };
+        let finished = self.camera.intrinsics;
+        plane.downscaled(finished.width, finished.height).mask()
     }
 
     /// The finished image from the stored and turned one.
@@ -173,8 +193,9 @@ pub(super) fn survey(
         let photographs = tree.names().filter(|name| images::is_image_name(name)).count();
         IngestErrorKind::NoLayout { photographs }
     })??;
-    refuse_masks(&tree, &plan.listed.iter().map(String::as_str).collect())?;
-    let Plan { layout, lenses, frames, points, listed, listings, noted, mut notes } = plan;
+    let masks = find_masks(&tree, &plan, &options.reading.masks)?;
+    let Plan { layout, lenses, frames, points, listed, listings, mut noted, mut notes } = plan;
+    noted.extend(masks.of_frames.iter().flatten().cloned());
     notes.extend(provenance::note(&tree));
     let taken = Taken { listed: &listed, noted: &noted, listings: &listings };
     note_unused(&tree, &taken, &mut notes);
@@ -185,7 +206,9 @@ pub(super) fn survey(
     let evidence: Vec<Evidence> = frames
         .iter()
         .zip(&headers.read)
-        .map(|(frame, header)| evidence(header, &surveyor.lenses[frame.lens], options.orientation))
+        .map(|(frame, header)| {
+            evidence(header, &surveyor.lenses[frame.lens], options.reading.exif_orientation)
+        })
         .inspect(|evidence| counts.count(*evidence))
         .collect();
     let decision = if counts.has_others() {
@@ -197,17 +220,29 @@ pub(super) fn survey(
         None
     };
 
+    let mask_options = MaskOptions {
+        mode: options.reading.mask_mode,
+        decode_bytes: options.decode_bytes,
+        should_continue: options.should_continue,
+    };
+    let mask_reader = MaskReader::new(&tree, &masks, limits, &mask_options)?;
+    notes.extend(mask_reader.note(&masks, frames.len()));
     let mut views = Vec::with_capacity(frames.len());
     let mut changes = Changes::default();
     let mut pixels = 0;
-    for ((frame, header), evidence) in frames.into_iter().zip(&headers.read).zip(evidence) {
+    let mut with_alpha = 0;
+    for (((frame, header), evidence), masks) in
+        frames.into_iter().zip(&headers.read).zip(evidence).zip(masks.of_frames)
+    {
         let reading = match evidence {
             Evidence::Upright => Reading::Stored,
             Evidence::Stated(reading) | Evidence::Size(reading) => reading,
             Evidence::None => decision.map_or(Reading::Stored, Decision::reading),
         };
         let stated = surveyor.lenses[frame.lens].size;
-        let view = surveyor.view(frame, header, reading)?;
+        let mut view = surveyor.view(frame, header, reading)?;
+        view.masks = mask_reader.of_frame(masks, header, view.stored_size(), view.turn)?;
+        with_alpha += usize::from(header.alpha);
         let finished = view.camera.intrinsics;
         changes.count(stated, &view);
         pixels += u64::from(finished.width) * u64::from(finished.height);
@@ -220,6 +255,7 @@ pub(super) fn survey(
     headers.end?;
     counts.note(decision, &mut notes);
     changes.note(&mut notes);
+    notes.extend(mask_reader.alpha_note(layout, with_alpha));
     notes.extend(distance_note(&views));
     let point_count = points.as_ref().map(Points::count);
     let points = points.and_then(Points::into_cloud);
@@ -293,7 +329,8 @@ impl Surveyor {
             .at(file));
         }
         let (turn, alpha) = (reading.turn(header), header.alpha);
-        Ok(SurveyedFrame { frame, camera, turn, stored, alpha, distortion, crop })
+        let masks = FrameMasks::default();
+        Ok(SurveyedFrame { frame, camera, turn, stored, alpha, distortion, crop, masks })
     }
 }
 

@@ -9,7 +9,7 @@ use super::{
     fixtures::{SIZE, Set, blender, colmap, file, nerfstudio, png},
     *,
 };
-use crate::domain::{Convention, DatasetSummary, Layout, Split};
+use crate::domain::{Convention, DatasetSummary, Layout, ReadOptions, Split};
 
 fn refused(set: &Set) -> Problem {
     let directory = set.directory();
@@ -429,23 +429,6 @@ fn headers_behind_previews_are_found_up_to_a_bound() {
 }
 
 #[test]
-fn masks_are_refused_with_what_to_do() {
-    for folder in ["masks", "mask"] {
-        let name = format!("{folder}/0.png");
-        for set in [nerfstudio(), colmap(), blender()] {
-            let set = set.with(&name, png(SIZE, [255; 4]));
-            assert_refused(&set, &name, &format!("in {folder}/ there are masks, which are not supported"));
-        }
-    }
-    assert!(load(&colmap().with("masks/readme.txt", "none").directory().path).is_ok());
-    let path = r#""file_path": "images/1.png", "mask_path": "other/1.png""#;
-    let masked = nerfstudio().edited("transforms.json", "\"file_path\": \"images/1.png\"", path);
-    assert_refused(&masked, "transforms.json", "at /frames/1/mask_path there are masks");
-    let unmasked = masked.edited("transforms.json", "\"other/1.png\"", "null");
-    assert!(load(&unmasked.directory().path).is_ok());
-}
-
-#[test]
 fn no_refusal_names_a_folder_of_the_machine() {
     let nothing = Set::default().with("readme.txt", "hello");
     let cut = nerfstudio().archive();
@@ -653,7 +636,7 @@ fn limits_are_held_and_name_what_was_over_them() {
         ..wide
     };
     let options =
-        SurveyOptions { orientation: ExifOrientation::Auto, decode_bytes: 0, should_continue: &|| true };
+        SurveyOptions { reading: ReadOptions::default(), decode_bytes: 0, should_continue: &|| true };
     assert!(load_with(&archive.path, &exact, &LoadBudget::default(), &options).is_ok());
 }
 

@@ -6,7 +6,10 @@
 //! poses and the points of `ply_file_path` are both written after it, so they already agree and it is not
 //! applied again: scenes are trained, and views asked for, in the frame that the file's poses are in.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::{
+    collections::{BTreeMap, BTreeSet},
+    sync::Arc,
+};
 
 use glam::{DMat4, DVec4};
 
@@ -14,10 +17,10 @@ use super::{
     bounded_json,
     distortion::Distortion,
     error::{IngestError, IngestErrorKind, Result},
-    fields::{CameraFields, Document, Matrix, Names},
+    fields::{CameraFields, Document, MaskField, Matrix, Names},
     lens::{Focal, Lens},
     names::{normalized, portable, safe_name},
-    plan::{ImageFiles, Plan, PlannedFrame},
+    plan::{ImageFiles, Plan, PlannedFrame, StatedMask},
     ply,
     tree::Tree,
 };
@@ -122,22 +125,21 @@ fn add_frames(
     document: &Document,
     split: Split,
 ) -> Result<(), IngestError> {
-    let masks = |place: String| IngestErrorKind::Masks { place: format!("at {place}") }.at(file);
-    if let Some(mask) = &document.mask {
-        return Err(masks(mask.clone()));
-    }
+    let stated = |place: &str, mask: &MaskField| {
+        let (place, path) = (format!("{place}{}", mask.pointer), mask.path.clone());
+        Arc::new(StatedMask { listing: file.to_owned(), place, path })
+    };
+    let shared = document.mask.as_ref().map(|mask| stated("", mask));
     let mut images = ImageFiles::new(tree, file);
     for (index, frame) in document.frames.iter().enumerate() {
         let place = format!("/frames/{index}");
-        if let Some(mask) = &frame.mask {
-            return Err(masks(format!("{place}{mask}")));
-        }
+        let mask = frame.mask.as_ref().map(|mask| stated(&place, mask)).or_else(|| shared.clone());
         let found = images.find("", &frame.file_path, &format!("{place}/file_path"))?;
         let pose = pose(frame.transform_matrix, &place).map_err(|error| error.at(file))?;
         let lens = lens(&frame.camera, &document.camera, &place).map_err(|error| error.at(file))?;
         let lens = plan.lens(lens);
         if let Some((name, image)) = found {
-            plan.add(PlannedFrame { name, file: image, lens, pose, split }, file);
+            plan.add(PlannedFrame { name, file: image, lens, pose, split, mask }, file);
         }
     }
     images.finish()

@@ -6,6 +6,7 @@ use std::{
     fs::{self, File},
     io,
     path::Path,
+    slice,
 };
 
 use super::{
@@ -13,6 +14,8 @@ use super::{
     error::{IngestError, IngestErrorKind},
     images::{self, is_image_name},
     limits::Limits,
+    masks::is_mask_folder,
+    plan::folder_of,
     tree::{Purpose, Tree},
     video::{SIGNATURE_BYTES, is_video, is_video_name},
 };
@@ -24,8 +27,13 @@ const TABLES: [&str; 2] = ["cameras", "images"];
 /// What cameras are found of.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Unposed {
-    /// Photographs, by their names in order.
-    Photographs(Vec<String>),
+    /// Photographs.
+    Photographs {
+        /// Their names, in order.
+        names: Vec<String>,
+        /// Images in folders of masks.
+        masks: Vec<String>,
+    },
     /// A video, by its name.
     Video(String),
 }
@@ -42,10 +50,11 @@ impl Unposed {
     fn of(tree: &Tree) -> Result<Self, IngestError> {
         let is_hidden = |name: &str| name.split('/').any(|part| part.starts_with('.'));
         let shown = || tree.names().filter(|name| !is_hidden(name));
-        let photographs: Vec<String> =
-            shown().filter(|name| is_image_name(name)).map(str::to_owned).collect();
-        if !photographs.is_empty() {
-            return Ok(Self::Photographs(photographs));
+        let is_mask = |name: &String| folder_of(name).split('/').any(is_mask_folder);
+        let images = shown().filter(|name| is_image_name(name)).map(str::to_owned);
+        let (masks, names): (Vec<String>, Vec<String>) = images.partition(is_mask);
+        if !names.is_empty() {
+            return Ok(Self::Photographs { names, masks });
         }
         let mut videos = shown().filter(|name| is_video_name(name));
         match (videos.next(), videos.next()) {
@@ -61,11 +70,11 @@ impl Unposed {
     /// Files that cannot be read, are too large, or cannot be written.
     pub fn extract(&self, path: &Path, to: &Path) -> Result<(), IngestError> {
         let tree = Tree::open(Purpose::Load, path, &Limits::default())?;
-        let names = match self {
-            Self::Photographs(names) => names.iter(),
-            Self::Video(name) => std::slice::from_ref(name).iter(),
+        let (names, masks) = match self {
+            Self::Photographs { names, masks } => (names.as_slice(), masks.as_slice()),
+            Self::Video(name) => (slice::from_ref(name), &[][..]),
         };
-        for name in names {
+        for name in names.iter().chain(masks) {
             let copied = tree.parse_unused(name, u64::MAX, |reader, _| {
                 let file = to.join(name);
                 let written = (|| -> io::Result<()> {
@@ -82,7 +91,7 @@ impl Unposed {
     /// The name of the kind.
     fn layout(&self) -> Layout {
         match self {
-            Self::Photographs(_) => Layout::Photographs,
+            Self::Photographs { .. } => Layout::Photographs,
             Self::Video(_) => Layout::Video,
         }
     }
@@ -114,7 +123,11 @@ fn summary(tree: &Tree, limits: &Limits) -> Result<DatasetSummary, IngestError> 
     let unposed = Unposed::of(tree)?;
     let (mut pixels, mut count) = (0, 0);
     match &unposed {
-        Unposed::Photographs(names) => {
+        Unposed::Photographs { names, masks } => {
+            for name in masks {
+                tree.check_time().map_err(|error| error.at(name))?;
+                images::header(tree, name, limits)?;
+            }
             if names.len() < Limits::MIN_PHOTOGRAPHS {
                 return Err(IngestErrorKind::TooFewPhotographs(names.len()).into());
             }
@@ -141,7 +154,7 @@ fn summary(tree: &Tree, limits: &Limits) -> Result<DatasetSummary, IngestError> 
         }
     }
     let notes = vec![match &unposed {
-        Unposed::Photographs(_) => {
+        Unposed::Photographs { .. } => {
             "no file says the cameras of the photographs: a job finds them first".to_owned()
         }
         Unposed::Video(name) => {
@@ -177,7 +190,8 @@ mod tests {
         {
             put(folder.path(), name, b"");
         }
-        let Unposed::Photographs(found) = Unposed::find(folder.path()).expect("readable") else {
+        let Unposed::Photographs { names: found, .. } = Unposed::find(folder.path()).expect("readable")
+        else {
             panic!("no photographs")
         };
         assert_eq!(found, ["a/c.png", "a/d.webp", "b.JPG"]);

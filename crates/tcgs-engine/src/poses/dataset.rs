@@ -46,12 +46,19 @@ impl PoseEstimator {
         let io = |what| move |error| PosesError::Io { what, error };
         fs::create_dir(&search).map_err(io("cannot create a folder to work in"))?;
         let unposed = Unposed::find(given)?;
+        let mut kept = Vec::new();
         let photographs = match unposed {
-            Unposed::Photographs(names) if given.is_dir() => Photographs { folder: given.to_owned(), names },
+            Unposed::Photographs { names, masks } if given.is_dir() => {
+                kept = masks.into_iter().map(|name| (given.join(&name), name)).collect();
+                Photographs { folder: given.to_owned(), names }
+            }
             unposed => {
                 unposed.extract(given, &source)?;
                 match unposed {
-                    Unposed::Photographs(names) => Photographs { folder: source, names },
+                    Unposed::Photographs { names, masks } => {
+                        kept = masks.into_iter().map(|name| (source.join(&name), name)).collect();
+                        Photographs { folder: source, names }
+                    }
                     Unposed::Video(name) => {
                         options.matching = options.matching.of_a_video();
                         let video = Video {
@@ -70,7 +77,7 @@ impl PoseEstimator {
         let Photographs { folder: photographs, mut names } = photographs.in_their_folder();
         names.sort_by(|a, b| natural_order(a, b));
         let found = self.estimate(&photographs, &names, &search, options, report, cancel)?;
-        assemble(&folder, &photographs, &found).map_err(io("cannot write the dataset"))?;
+        assemble(&folder, &photographs, &found, &kept).map_err(io("cannot write the dataset"))?;
         Ok(PosedDataset { report: found, folder })
     }
 }
@@ -97,14 +104,25 @@ impl Photographs {
     }
 }
 
-/// Puts the registered photographs and the model into a folder, in COLMAP's layout.
-fn assemble(dataset: &Path, photographs: &Path, found: &PoseReport) -> io::Result<()> {
-    for name in &found.registered {
-        let to = dataset.join("images").join(name);
+/// Puts the registered photographs and the model into a folder, in COLMAP's layout, and masks where they were.
+fn assemble(
+    dataset: &Path,
+    photographs: &Path,
+    found: &PoseReport,
+    masks: &[(PathBuf, String)],
+) -> io::Result<()> {
+    let put = |from: &Path, to: &Path| -> io::Result<()> {
         fs::create_dir_all(to.parent().unwrap_or(dataset))?;
-        if fs::hard_link(photographs.join(name), &to).is_err() {
-            fs::copy(photographs.join(name), &to)?;
+        if fs::hard_link(from, to).is_err() {
+            fs::copy(from, to)?;
         }
+        Ok(())
+    };
+    for name in &found.registered {
+        put(&photographs.join(name), &dataset.join("images").join(name))?;
+    }
+    for (file, name) in masks {
+        put(file, &dataset.join(name))?;
     }
     fs::create_dir_all(dataset.join("sparse"))?;
     fs::rename(&found.model, dataset.join("sparse/0"))?;

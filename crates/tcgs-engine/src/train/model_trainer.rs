@@ -93,6 +93,9 @@ pub(super) trait ModelTrainer {
         overflow_flag: &Buffer<u32>,
     ) -> Result<()>;
 
+    /// Some pixels of the photographs do not count: from now on, growth goes by views that give a gradient alone.
+    fn count_views_with_gradient(&mut self) -> Result<()>;
+
     /// Whether the schedule wants [`ModelTrainer::adapt`] after a step.
     fn adapts(&self, step: &Step) -> bool;
 

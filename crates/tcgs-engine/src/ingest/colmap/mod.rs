@@ -89,7 +89,7 @@ pub(super) fn plan(tree: &Tree, choice: Choice) -> Result<Plan, IngestError> {
         })?;
         let pose = pose(image, &place).map_err(|error| error.at(&images_file))?;
         if let Some((name, file)) = found {
-            plan.add(PlannedFrame { name, file, lens, pose, split: Split::Train }, &images_file);
+            plan.add(PlannedFrame { name, file, lens, pose, split: Split::Train, mask: None }, &images_file);
         }
     }
     files.finish()?;

@@ -341,6 +341,10 @@ impl ModelTrainer for AnchorTrainer {
         Ok(())
     }
 
+    fn count_views_with_gradient(&mut self) -> Result<()> {
+        Ok(self.neural.count_views_with_gradient()?)
+    }
+
     fn adapts(&self, step: &Step) -> bool {
         let changes_stage =
             self.compression.as_ref().is_some_and(|compression| compression.changes_stage_after(step.number));

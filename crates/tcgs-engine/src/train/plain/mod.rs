@@ -229,6 +229,10 @@ impl ModelTrainer for PlainTrainer {
         self.learn(recorder, step, overflow_flag)
     }
 
+    fn count_views_with_gradient(&mut self) -> Result<()> {
+        Ok(self.plain.count_views_with_gradient()?)
+    }
+
     fn adapts(&self, step: &Step) -> bool {
         self.next.as_ref().is_some_and(|next| next.begins_after(step))
             || self.schedule.densifies(step.number)

@@ -47,6 +47,17 @@ fn assert_matches_twin(
     volume_weight: f64,
     seed: u64,
 ) -> usize {
+    assert_matches_twin_with(found, scene, camera, volume_weight, seed, false)
+}
+
+fn assert_matches_twin_with(
+    found: &Found,
+    scene: &Scene,
+    camera: &Camera,
+    volume_weight: f64,
+    seed: u64,
+    masked: bool,
+) -> usize {
     let (shape, projection) = (scene.anchors.shape, projection(camera));
     let anchors = scene.twin();
     let spawned = twin::neural_forward(&projection, &anchors);
@@ -104,7 +115,7 @@ fn assert_matches_twin(
         let (splats, tiles): (Vec<_>, Vec<_>) =
             gradients[born.clone()].iter().map(|(_, v, t)| (*v, *t)).unzip();
         let row = &mut statistics[*anchor as usize * width..][..width];
-        twin::anchor_statistics(&projection, &spawned.gaussians[born], &splats, &tiles, row);
+        twin::anchor_statistics(&projection, &spawned.gaussians[born], &splats, &tiles, masked, row);
     }
     let found: Vec<f64> = found.statistics.iter().map(|v| f64::from(*v)).collect();
     assert_near("statistics", &found, &statistics);
@@ -119,6 +130,18 @@ fn check(shape: ModelShape, anchors: usize, spread: f32, subgroups: bool) -> usi
     let mut neural = neural(shape, subgroups);
     let found = run(&device, &mut neural, &scene, &camera, 7.0, &gradients);
     assert_matches_twin(&found, &scene, &camera, 7.0, seed)
+}
+
+#[test]
+fn with_masks_views_without_gradient_are_not_counted() {
+    let device = gpu();
+    let camera = random::camera(40, 30);
+    let scene = Scene::random(5, SMALL, 40, 1.0, &projection(&camera));
+    let gradients = random_gradients(5, 40 * SMALL.offsets);
+    let mut neural = neural(SMALL, true);
+    neural.count_views_with_gradient().expect("the kernel");
+    let found = run(&device, &mut neural, &scene, &camera, 7.0, &gradients);
+    assert!(assert_matches_twin_with(&found, &scene, &camera, 7.0, 5, true) > 0);
 }
 
 #[test]

@@ -1,0 +1,35 @@
+//! The flags for what may be read in more than one way, as commands that read a dataset take them.
+
+use clap::builder::{PossibleValuesParser, TypedValueParser as _};
+use tcgs::domain::{ExifOrientation, MaskMode, MaskSource, ReadOptions};
+
+/// How the files of a dataset are read.
+#[derive(Debug, Clone, clap::Args)]
+pub(super) struct ReadFlags {
+    /// EXIF orientation of photographs: auto applies it where cameras and points agree with the turned pixels
+    #[arg(
+        long,
+        default_value = "auto",
+        value_parser = PossibleValuesParser::new(ExifOrientation::NAMES).try_map(|name| name.parse::<ExifOrientation>())
+    )]
+    exif_orientation: ExifOrientation,
+
+    /// Masks of photographs: auto finds them by their names; none reads photographs whole
+    #[arg(long, value_name = "auto|none|FOLDER", default_value = "auto")]
+    masks: MaskSource,
+
+    /// What masks and transparency mean: auto ignores what masks hide and cuts out what is transparent
+    #[arg(
+        long,
+        default_value = "auto",
+        value_parser = PossibleValuesParser::new(MaskMode::NAMES).try_map(|name| name.parse::<MaskMode>())
+    )]
+    mask_mode: MaskMode,
+}
+
+impl ReadFlags {
+    pub(super) fn options(&self) -> ReadOptions {
+        let Self { exif_orientation, masks, mask_mode } = self;
+        ReadOptions { exif_orientation: *exif_orientation, masks: masks.clone(), mask_mode: *mask_mode }
+    }
+}
