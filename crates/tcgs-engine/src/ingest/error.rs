@@ -133,13 +133,23 @@ pub enum IngestErrorKind {
 
     /// None of the three layouts.
     #[error(
-        "no dataset was found: there is no transforms.json, no transforms_train.json and no sparse/0 \
-         with cameras and images (.bin or .txt), neither at the top nor in a single top-level folder{}",
-        photographs_alone(*photographs)
+        "no dataset was found: no folder has a transforms.json, a transforms_train.json, or cameras and images of COLMAP \
+         (.bin or .txt){}",
+        photographs_alone(*photographs, unread.as_ref())
     )]
     NoLayout {
         /// Photographs that are there.
         photographs: usize,
+        /// The format of others that are not read, and a command that converts them.
+        unread: Option<(&'static str, String)>,
+    },
+    /// More than one dataset.
+    #[error("there are {count} datasets, in {}: send one of them", several(*count, first))]
+    SeveralDatasets {
+        /// How many there are.
+        count: usize,
+        /// The folders of the first.
+        first: Vec<String>,
     },
     /// A file that the layout needs is not there.
     #[error("the file is missing; {0}")]
@@ -286,6 +296,17 @@ pub enum IngestErrorKind {
     /// An image whose header or pixels cannot be decoded.
     #[error("is not a readable PNG, JPEG or WebP image: {0}")]
     Image(String),
+    /// An image of a known format that is not read.
+    #[error(
+        "is {} {format} image, which is not read; convert the photographs to PNG or JPEG (`{remedy}`). Tables may keep the old names",
+        if matches!(*format, "TIFF" | "BMP" | "GIF" | "JPEG XL" | "HEIC") { "a" } else { "an" }
+    )]
+    UnreadFormat {
+        /// The format.
+        format: &'static str,
+        /// A command that converts such files.
+        remedy: String,
+    },
     /// An image whose header cannot be found near its beginning.
     #[error(
         "no PNG, JPEG or WebP header ends within its first {limit} bytes ({message}); if the image opens elsewhere, remove \
@@ -379,6 +400,12 @@ pub enum MissingHint {
     /// There is a file whose name differs in the extension.
     #[error("there is '{0}': extensions must match")]
     Extension(String),
+    /// There is a file of that name in a format that is not read.
+    #[error("there is '{0}', which is {1}: convert it to PNG or JPEG, `{2}`; tables may keep the old names")]
+    Format(String, &'static str, String),
+    /// There are several files of that name.
+    #[error("there are {0} images called '{1}', and nothing tells which is meant")]
+    Places(usize, String),
     /// The archive's names are not text that can be compared.
     #[error(
         "names in this zip are in a local code page, or at least not marked as UTF-8, so letters beyond ASCII do not match; make \
@@ -438,10 +465,12 @@ impl IngestErrorKind {
             | Self::DistortionTooStrong => ProblemType::CameraRejected,
             Self::Ply(_) => ProblemType::PointsRejected,
             Self::Image(_)
+            | Self::UnreadFormat { .. }
             | Self::ImageHeader { .. }
             | Self::ImageSize { .. }
             | Self::ImageRotated { .. } => ProblemType::ImageRejected,
             Self::NoLayout { .. }
+            | Self::SeveralDatasets { .. }
             | Self::MissingFile(_)
             | Self::MissingImages { .. }
             | Self::NoImages
@@ -482,13 +511,23 @@ pub(super) fn shown(name: &str) -> String {
 }
 
 /// Advice where photographs have no cameras.
-fn photographs_alone(photographs: usize) -> String {
-    match photographs {
-        0 => String::new(),
+fn photographs_alone(photographs: usize, unread: Option<&(&'static str, String)>) -> String {
+    match (photographs, unread) {
+        (0, None) => String::new(),
+        (0, Some((format, remedy))) => {
+            format!(". Its {format} images are not read; convert them to PNG or JPEG (`{remedy}`)")
+        }
         _ => format!(
             ". The cameras of its {photographs} photographs can be found: tcgs poses FOLDER -o DATASET"
         ),
     }
+}
+
+/// The first names, and how many there are besides.
+fn several(count: usize, first: &[String]) -> String {
+    let more = count.saturating_sub(first.len());
+    let named = first.join(", ");
+    if more == 0 { named } else { format!("{named} and {more} more") }
 }
 
 fn missing_images(count: usize, listed: usize, first: &[String], hint: Option<&MissingHint>) -> String {

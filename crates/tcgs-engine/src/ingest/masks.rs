@@ -73,7 +73,8 @@ pub(super) fn refuse_masks(tree: &Tree, listed: &BTreeSet<&str>) -> Result<(), I
     Ok(())
 }
 
-fn is_mask_folder(folder: &str) -> bool {
+/// Whether a folder's name says that it has masks.
+pub(super) fn is_mask_folder(folder: &str) -> bool {
     words(folder).any(|(_, word)| FOLDER_WORDS.contains(&word.to_lowercase().as_str()))
 }
 

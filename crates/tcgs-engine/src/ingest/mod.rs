@@ -1,7 +1,8 @@
 //! Reads a dataset from a zip archive or a directory into a checked [`Dataset`].
 //!
-//! In order: `tree` lists files by safe names (from `folder`, or `archive` behind `end_record`) within `limits`; `transforms` (with
-//! `bounded_json` and `fields`) or `colmap` reads the tables into a `plan` of frames, lenses and poses; `survey` reads image headers and
+//! In order: `tree` lists files by safe names (from `folder`, or `archive` behind `end_record`) within `limits`; `roots` finds the
+//! dataset's folder; `transforms` (with
+//! `bounded_json` and `fields`) or `colmap` reads the tables into a `plan` of frames, lenses and poses, whose files `image_files` finds; `survey` reads image headers and
 //! computes the final cameras; `images`, `orientation`, `distortion` and `sampling` produce the pixels. `masks` and `unused` see to it that nothing in a dataset is
 //! left out in silence.
 //!
@@ -25,6 +26,8 @@ mod end_record;
 mod error;
 mod fields;
 mod folder;
+mod formats;
+mod image_files;
 mod images;
 mod lens;
 mod limits;
@@ -36,6 +39,7 @@ mod photographs;
 mod plan;
 mod ply;
 mod points;
+mod roots;
 mod sampling;
 mod semaphore;
 mod source;
@@ -50,6 +54,8 @@ mod unused;
 mod fixtures;
 #[cfg(test)]
 mod report_tests;
+#[cfg(test)]
+mod sent_tests;
 #[cfg(test)]
 mod tests;
 
@@ -147,7 +153,7 @@ pub fn check(path: &Path) -> Result<DatasetSummary, Problem> {
 pub fn lacks_cameras(path: &Path) -> bool {
     let checked = path.is_dir().then(|| check_within(path, &Limits::default()));
     let kind = checked.and_then(Result::err).map(|error| error.kind);
-    matches!(kind, Some(IngestErrorKind::NoLayout { photographs: 1.. }))
+    matches!(kind, Some(IngestErrorKind::NoLayout { photographs: 1.., .. }))
 }
 
 /// The cameras of a dataset's frames, in the order of [`Dataset::frames`], checked as [`check`] does.

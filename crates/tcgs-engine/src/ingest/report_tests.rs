@@ -367,7 +367,7 @@ fn points_in_ply_beside_colmap_tables_are_read() {
         assert!(dataset.notes.is_empty(), "{:?}", dataset.notes);
     }
     noted(&colmap().with("sparse/0/points3D.ply", CLOUD), "not used: sparse/0/points3D.ply");
-    refused(&colmap().without("sparse/0/points3D.txt"), "sparse/0/points3D.txt", "the points also .ply");
+    refused(&colmap().without("sparse/0/images.txt"), "sparse/0/images.txt", "the points also .ply");
 }
 
 #[test]

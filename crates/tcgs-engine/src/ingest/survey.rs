@@ -19,9 +19,9 @@ use super::{
     orientation::{Comparison, Decision, Evidence, EvidenceCounts, MAX_COMPARED, Reading, Unknown, evidence},
     plan::{Plan, PlannedFrame},
     points::Points,
-    transforms,
+    roots, transforms,
     tree::Tree,
-    unused::{Taken, note_unused},
+    unused::{Taken, note_outside, note_unused},
 };
 use crate::domain::{
     Camera, DatasetSummary, ExifOrientation, Image, Intrinsics, Layout, NamedCamera, PointCloud, Split,
@@ -156,7 +156,7 @@ impl SurveyedFrame {
     }
 }
 
-/// Surveys the dataset in `tree`, whose root may be its only top-level folder.
+/// Surveys the dataset in `tree`, which becomes the tree of its folder.
 ///
 /// # Errors
 /// The first error by the order of names.
@@ -165,17 +165,13 @@ pub(super) fn survey(
     limits: &Limits,
     options: &SurveyOptions,
 ) -> Result<(Tree, Survey), IngestError> {
-    let plan = match plan(&tree) {
-        None if tree.enter_only_folder() => plan(&tree),
-        plan => plan,
-    }
-    .ok_or_else(|| {
-        let photographs = tree.names().filter(|name| images::is_image_name(name)).count();
-        IngestErrorKind::NoLayout { photographs }
-    })??;
+    let root = roots::find(&tree)?;
+    let outside = if root.is_empty() { Vec::new() } else { tree.enter(&root) };
+    let plan = plan(&tree)?;
     refuse_masks(&tree, &plan.listed.iter().map(String::as_str).collect())?;
-    let Plan { layout, lenses, frames, points, listed, listings, noted, mut notes } = plan;
+    let Plan { layout, lenses, frames, points, listed, listings, noted, mut notes, .. } = plan;
     let taken = Taken { listed: &listed, noted: &noted, listings: &listings };
+    note_outside(&root, &outside, &mut notes);
     note_unused(&tree, &taken, &mut notes);
 
     let mut surveyor = Surveyor { lenses, crops: BTreeMap::new() };
@@ -377,16 +373,17 @@ fn distance_note(views: &[SurveyedFrame]) -> Option<String> {
     ))
 }
 
-/// The plan by whichever layout the files are in; `None` if in none. `transforms.json` states its own cameras, so
-/// it takes precedence over a reconstruction beside it; the Blender files also state the split, so they go first.
-fn plan(tree: &Tree) -> Option<Result<Plan, IngestError>> {
+/// The plan by whichever layout the files are in. `transforms.json` states its own cameras, so it takes precedence over a reconstruction
+/// beside it; the Blender files also state the split, so they go first.
+fn plan(tree: &Tree) -> Result<Plan, IngestError> {
     if tree.has(transforms::TRAIN) {
-        return Some(transforms::blender(tree));
+        return transforms::blender(tree);
     }
     if tree.has(transforms::TRANSFORMS) {
-        return Some(transforms::nerfstudio(tree));
+        return transforms::nerfstudio(tree);
     }
-    colmap::detect(tree).map(|choice| colmap::plan(tree, choice))
+    let choice = colmap::detect(tree).ok_or(IngestErrorKind::NoLayout { photographs: 0, unread: None })?;
+    colmap::plan(tree, choice)
 }
 
 /// Intrinsics of the image as it is trained on: at most [`Limits::TRAINING_WIDTH`] wide, the height rounded down.

@@ -14,10 +14,11 @@ use super::{
     bounded_json,
     distortion::Distortion,
     error::{IngestError, IngestErrorKind, Result},
-    fields::{CameraFields, Document, Matrix, Names},
+    fields::{CameraFields, Document, FrameFields, Matrix, Names},
+    image_files::{FoundImage, ImageFiles, ImageSearch},
     lens::{Focal, Lens},
     names::{normalized, portable, safe_name},
-    plan::{ImageFiles, Plan, PlannedFrame},
+    plan::{Plan, PlannedFrame},
     ply,
     tree::Tree,
 };
@@ -35,6 +36,9 @@ const VALIDATION: &str = "transforms_val.json";
 /// What a side may differ by from a whole number of pixels.
 const WHOLE: f64 = 1e-6;
 
+/// Scales of a rotation that are taken out of it.
+const SCALES: std::ops::RangeInclusive<f64> = 1e-6..=1e6;
+
 /// Camera models whose distortion is the polynomial that [`Distortion`] holds.
 const POLYNOMIAL_MODELS: [&str; 5] = ["OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL"];
 
@@ -49,29 +53,31 @@ const DENOMINATOR: [fn(&CameraFields) -> Option<f64>; 3] =
 /// Everything that is wrong with the files or the images they list.
 pub(super) fn blender(tree: &Tree) -> Result<Plan, IngestError> {
     let mut plan = Plan::new(Layout::Blender);
-    let train = read(tree, TRAIN)?;
-    add_frames(&mut plan, tree, TRAIN, &train, Split::Train)?;
-    // An exporter may write a file without frames for programs that insist on one.
-    let listed = |file: &str| {
-        let document = tree.has(file).then(|| read(tree, file)).transpose()?;
-        Ok::<_, IngestError>(document.filter(|document| !document.frames.is_empty()))
-    };
-    if let Some(test) = listed(TEST)? {
-        add_frames(&mut plan, tree, TEST, &test, Split::Test)?;
+    let train = Table::read(tree, TRAIN, &plan)?;
+    train.add_frames(&mut plan, Split::Train)?;
+    let test = HeldOut::read(tree, TEST, &plan)?;
+    if let HeldOut::Frames(test) = test {
+        test.add_frames(&mut plan, Split::Test)?;
         if tree.has(VALIDATION) {
             plan.notes.push(format!("{VALIDATION} is not used: {TEST} is what is held out"));
             plan.noted.insert(VALIDATION.to_owned());
         }
     } else {
-        let missing = if tree.has(TEST) { "has no frames" } else { "is missing" };
-        if let Some(validation) = listed(VALIDATION)? {
-            add_frames(&mut plan, tree, VALIDATION, &validation, Split::Test)?;
-            plan.notes.push(format!("{TEST} {missing}: {VALIDATION} is held out instead"));
-        } else {
-            plan.hold_out();
-            plan.notes.push(format!("{TEST} {missing}: every 8th image by name is held out"));
+        match HeldOut::read(tree, VALIDATION, &plan)? {
+            HeldOut::Frames(validation) => {
+                validation.add_frames(&mut plan, Split::Test)?;
+                plan.notes.push(format!("{}: {VALIDATION} is held out instead", test.lack(TEST)));
+            }
+            validation => {
+                plan.hold_out();
+                if matches!(validation, HeldOut::NoPhotographs(_)) {
+                    plan.notes.push(validation.lack(VALIDATION));
+                }
+                plan.notes.push(format!("{}: every 8th image by name is held out", test.lack(TEST)));
+            }
         }
     }
+    let train = train.document;
     add_points(&mut plan, tree, TRAIN, &train)?;
     plan.ordered(TRAIN)
 }
@@ -82,8 +88,9 @@ pub(super) fn blender(tree: &Tree) -> Result<Plan, IngestError> {
 /// Everything that is wrong with the file, the images it lists or its point cloud.
 pub(super) fn nerfstudio(tree: &Tree) -> Result<Plan, IngestError> {
     let mut plan = Plan::new(Layout::Nerfstudio);
-    let document = read(tree, TRANSFORMS)?;
-    add_frames(&mut plan, tree, TRANSFORMS, &document, Split::Train)?;
+    let table = Table::read(tree, TRANSFORMS, &plan)?;
+    table.add_frames(&mut plan, Split::Train)?;
+    let document = table.document;
     split(&mut plan, &document)?;
     add_points(&mut plan, tree, TRANSFORMS, &document)?;
     plan.ordered(TRANSFORMS)
@@ -115,32 +122,88 @@ fn read(tree: &Tree, file: &str) -> Result<Document, IngestError> {
     tree.parse(file, tree.limits().json_bytes, |reader, _| bounded_json::read(reader))
 }
 
-fn add_frames(
-    plan: &mut Plan,
-    tree: &Tree,
-    file: &str,
-    document: &Document,
-    split: Split,
-) -> Result<(), IngestError> {
-    let masks = |place: String| IngestErrorKind::Masks { place: format!("at {place}") }.at(file);
-    if let Some(mask) = &document.mask {
-        return Err(masks(mask.clone()));
+/// A file with the images that it lists.
+struct Table {
+    file: &'static str,
+    document: Document,
+    images: ImageSearch,
+}
+
+impl Table {
+    fn read(tree: &Tree, file: &'static str, plan: &Plan) -> Result<Self, IngestError> {
+        let document = read(tree, file)?;
+        refuse_masks(file, &document)?;
+        let paths: Vec<&str> = document.frames.iter().map(|frame| frame.file_path.as_str()).collect();
+        let files = ImageFiles { tree, listing: file, folders: &[""], taken: &plan.listed };
+        let images = files.find(&paths, |index| format!("/frames/{index}/file_path"))?;
+        Ok(Self { file, document, images })
     }
-    let mut images = ImageFiles::new(tree, file);
-    for (index, frame) in document.frames.iter().enumerate() {
-        let place = format!("/frames/{index}");
-        if let Some(mask) = &frame.mask {
-            return Err(masks(format!("{place}{mask}")));
+
+    fn add_frames(&self, plan: &mut Plan, split: Split) -> Result<(), IngestError> {
+        let Self { file, document, images } = self;
+        let mut scales = Vec::new();
+        for (index, (frame, found)) in document.frames.iter().zip(&images.found).enumerate() {
+            let place = format!("/frames/{index}");
+            let (pose, scale) = pose(frame.transform_matrix, &place).map_err(|error| error.at(*file))?;
+            scales.extend(scale);
+            let lens = lens(&frame.camera, &document.camera, &place).map_err(|error| error.at(*file))?;
+            let lens = plan.lens(lens);
+            if let Some(FoundImage { name, file: image }) = found.clone() {
+                plan.add(PlannedFrame { name, file: image, lens, pose, split }, file);
+            }
         }
-        let found = images.find("", &frame.file_path, &format!("{place}/file_path"))?;
-        let pose = pose(frame.transform_matrix, &place).map_err(|error| error.at(file))?;
-        let lens = lens(&frame.camera, &document.camera, &place).map_err(|error| error.at(file))?;
-        let lens = plan.lens(lens);
-        if let Some((name, image)) = found {
-            plan.add(PlannedFrame { name, file: image, lens, pose, split }, file);
+        if let Some(first) = scales.first() {
+            let (count, poses) = (scales.len(), if scales.len() == 1 { "pose" } else { "poses" });
+            plan.notes.push(format!(
+                "the rotations of {count} {poses} of {file} have a scale, which is taken out: {first:.4}"
+            ));
+        }
+        plan.aliases.extend(images.aliases.clone());
+        images.finish(&mut plan.notes)
+    }
+}
+
+/// What a Blender set has for measuring.
+enum HeldOut {
+    Frames(Box<Table>),
+    NoFile,
+    /// An exporter may write a file without frames for programs that insist on one.
+    NoFrames,
+    /// An add-on writes the poses of a camera path, of which nobody has rendered the pictures yet.
+    NoPhotographs(usize),
+}
+
+impl HeldOut {
+    fn read(tree: &Tree, file: &'static str, plan: &Plan) -> Result<Self, IngestError> {
+        if !tree.has(file) {
+            return Ok(Self::NoFile);
+        }
+        let table = Table::read(tree, file, plan)?;
+        Ok(match table.images.listed() {
+            0 => Self::NoFrames,
+            count if table.images.is_empty() => Self::NoPhotographs(count),
+            _ => Self::Frames(Box::new(table)),
+        })
+    }
+
+    /// What is wanting, for a note.
+    fn lack(&self, file: &str) -> String {
+        match self {
+            Self::Frames(_) => file.to_owned(),
+            Self::NoFile => format!("{file} is missing"),
+            Self::NoFrames => format!("{file} has no frames"),
+            Self::NoPhotographs(count) => format!("none of the {count} photographs of {file} is there"),
         }
     }
-    images.finish()
+}
+
+/// Refuses masks that a file names.
+fn refuse_masks(file: &str, document: &Document) -> Result<(), IngestError> {
+    let of_frame = |(index, frame): (usize, &FrameFields)| {
+        frame.mask.as_ref().map(|mask| format!("/frames/{index}{mask}"))
+    };
+    let mask = document.mask.clone().or_else(|| document.frames.iter().enumerate().find_map(of_frame));
+    mask.map_or(Ok(()), |place| Err(IngestErrorKind::Masks { place: format!("at {place}") }.at(file)))
 }
 
 /// Splits by the file's own lists, if it has them, else by the hold-out rule.
@@ -155,9 +218,13 @@ fn split(plan: &mut Plan, document: &Document) -> Result<(), IngestError> {
             plan.frames.iter().map(|frame| (normalized(&frame.name), frame.name.as_str())).collect();
         let mut listed = BTreeSet::new();
         for stated in names.iter().flat_map(|names| &names.0) {
-            match safe_name(&portable(stated)).map(|name| known.get(&normalized(name))) {
-                Ok(Some(name)) => listed.insert((*name).to_owned()),
-                _ => return Err(IngestErrorKind::UnknownFrame { list, name: stated.clone() }.at(TRANSFORMS)),
+            let path = portable(stated);
+            let found = safe_name(&path).ok().and_then(|name| known.get(&normalized(name)).copied());
+            match found.or_else(|| plan.aliases.get(&*normalized(&path)).map(String::as_str)) {
+                Some(name) => listed.insert(name.to_owned()),
+                None => {
+                    return Err(IngestErrorKind::UnknownFrame { list, name: stated.clone() }.at(TRANSFORMS));
+                }
             };
         }
         Ok(listed)
@@ -183,15 +250,28 @@ fn split(plan: &mut Plan, document: &Document) -> Result<(), IngestError> {
     Ok(())
 }
 
-fn pose(rows: Matrix, place: &str) -> Result<Pose> {
+/// A pose, and the scale of its rotation where that is not 1: the axes of some exporters have the length of a unit of theirs. The position
+/// is in world units either way.
+fn pose(rows: Matrix, place: &str) -> Result<(Pose, Option<f64>)> {
     let Matrix(Some(rows)) = rows else {
         let message = "must be a matrix of 4 rows (or 3) of 4 numbers".to_owned();
         return Err(field(format!("{place}/transform_matrix"), message));
     };
-    let matrix = rows.map(DVec4::from_array);
-    let [x, y, z, w] = matrix;
-    Pose::from_camera_to_world(DMat4::from_cols(x, y, z, w).transpose(), Convention::Opengl)
-        .map_err(|source| IngestErrorKind::Camera { place: format!("{place}/transform_matrix"), source })
+    let [x, y, z, w] = rows.map(DVec4::from_array);
+    let matrix = DMat4::from_cols(x, y, z, w).transpose();
+    let pose = |matrix| Pose::from_camera_to_world(matrix, Convention::Opengl);
+    let scaled = || {
+        let scale = matrix.x_axis.truncate().length();
+        let unscaled = |axis: DVec4| axis / scale;
+        let [x, y, z] = [matrix.x_axis, matrix.y_axis, matrix.z_axis].map(unscaled);
+        let unscaled = pose(DMat4::from_cols(x, y, z, matrix.w_axis)).ok()?;
+        SCALES.contains(&scale).then_some((unscaled, Some(scale)))
+    };
+    match pose(matrix) {
+        Ok(pose) => Ok((pose, None)),
+        Err(source) => scaled()
+            .ok_or_else(|| IngestErrorKind::Camera { place: format!("{place}/transform_matrix"), source }),
+    }
 }
 
 fn lens(frame: &CameraFields, shared: &CameraFields, place: &str) -> Result<Lens> {
