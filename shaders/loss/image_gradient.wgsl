@@ -2,7 +2,7 @@
 // adjoint, along rows (METHOD.md §2.4). The fourth component, the gradient by alpha, stays zero. Also each run's
 // share of L1 and of the squared error. One channel an invocation.
 #import tcgs::index::lane_index
-#import tcgs::ssim::{Image, Tail, REACH, STRIDE, BLOCK, four, held, inside, places, run_of, runs, slide, total, unpack}
+#import tcgs::ssim::{Image, Tail, REACH, STRIDE, BLOCK, counted, four, held, inside, places, run_of, runs, slide, total, unpack}
 
 @group(0) @binding(0) var<uniform> image: Image;
 @group(0) @binding(1) var<storage, read> render: array<f32>;
@@ -41,11 +41,12 @@ fn image_gradient(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation
             let packed = vec4u(photograph[pixels.x], photograph[pixels.y], photograph[pixels.z], photograph[pixels.w]);
             let x = vec4f(render[to.x], render[to.y], render[to.z], render[to.w]);
             let y = unpack(packed, run.channel);
-            let difference = select(vec4f(0.0), x - y, inside(four(center), width));
+            let seen = counted(packed);
+            let difference = select(vec4f(0.0), x - y, inside(four(center), width) & seen);
             absolute += abs(difference);
             squared += difference * difference;
             let d_ssim = mean + 2.0 * (x * square + (x - y) * apart);
-            let gradient = image.weights.x * sign(difference) - image.weights.y * d_ssim;
+            let gradient = select(vec4f(0.0), image.weights.x * sign(difference) - image.weights.y * d_ssim, seen);
             d_image[to.x] = gradient.x;
             if center + 1 < run.last {
                 d_image[to.y] = gradient.y;

@@ -3,8 +3,8 @@
 // the gradient by alpha, stays zero. A workgroup makes one channel of a tile.
 #import tcgs::ssim::Image
 #import tcgs::ssim_tile::{
-    Line, LANES, READERS, HALO, RUNS, FIELD, PITCH, blurred, column_sums, halo_sample, level, place_of, row_run, store_row_sums,
-    work_of,
+    Line, LANES, READERS, HALO, RUNS, FIELD, PITCH, blurred, column_sums, halo_sample, level, pixel_counts, place_of, row_run,
+    store_row_sums, work_of,
 }
 
 @group(0) @binding(0) var<uniform> image: Image;
@@ -81,7 +81,15 @@ fn finish(origin: vec2u, channel: u32, local: u32) {
     );
     let difference = x - y;
     let d_ssim = sums[0] + 2.0 * (x * sums[1] + difference * sums[2]);
-    let gradient = image.weights.x * sign(difference) - image.weights.y * d_ssim;
+    var gradient = image.weights.x * sign(difference) - image.weights.y * d_ssim;
+#ifdef MASKED
+    gradient = select(vec4f(0.0), gradient, vec4<bool>(
+        pixel_counts(photograph[held.x]),
+        pixel_counts(photograph[held.y]),
+        pixel_counts(photograph[held.z]),
+        pixel_counts(photograph[held.w]),
+    ));
+#endif
     for (var k = 0u; k < 4u; k++) {
         if place.y + k < image.size.y {
             d_image[4u * pixels[k] + channel] = gradient[k];

@@ -2,12 +2,25 @@
 // first half of the window's adjoint, along the same column. The window is symmetric and zero-padded, so it is its own
 // adjoint. Also each run's partial SSIM. One channel an invocation.
 #import tcgs::index::lane_index
-#import tcgs::ssim::{Image, Tail, REACH, STRIDE, BLOCK, four, held, inside, places, run_of, similarity, slide, total}
+#import tcgs::ssim::{Image, Tail, REACH, STRIDE, BLOCK, counted, four, held, inside, places, run_of, similarity, slide, total}
 
 @group(0) @binding(0) var<uniform> image: Image;
 @group(0) @binding(1) var<storage, read> moments: array<vec4f>;
 @group(0) @binding(2) var<storage, read_write> derivatives: array<vec3f>;
 @group(0) @binding(3) var<storage, read_write> losses: array<vec4f>;
+#ifdef MASKED
+@group(0) @binding(4) var<storage, read> photograph: array<u32>;
+#endif
+
+// Whether the pixels of a column count.
+fn seen(column: u32, rows: vec4u) -> vec4<bool> {
+#ifdef MASKED
+    let pixels = rows * image.size.x + column;
+    return counted(vec4u(photograph[pixels.x], photograph[pixels.y], photograph[pixels.z], photograph[pixels.w]));
+#else
+    return counted(rows);
+#endif
+}
 
 @compute @workgroup_size(64)
 fn ssim_columns(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) local: u32) {
@@ -40,8 +53,9 @@ fn ssim_columns(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_i
             slide(&differences, select(vec4f(0.0), moment[3], counts)),
         );
         let centers = rows - REACH;
-        ssim += select(vec4f(0.0), similar.ssim, centers >= vec4i(run.first) & centers < vec4i(run.last));
-        let derived = inside(centers, height);
+        let counting = seen(run.line, held(centers, height));
+        ssim += select(vec4f(0.0), similar.ssim, centers >= vec4i(run.first) & centers < vec4i(run.last) & counting);
+        let derived = inside(centers, height) & counting;
         let sums = transpose(mat3x4f(
             slide(&by_mean, select(vec4f(0.0), similar.by_mean, derived)),
             slide(&by_squares, select(vec4f(0.0), similar.by_squares, derived)),

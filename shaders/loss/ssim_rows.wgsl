@@ -1,7 +1,7 @@
 // First half of SSIM's window: along rows, the moments x, y, x^2 + y^2 and (x - y)^2 of render and photograph, one channel
 // an invocation. The squares are needed only as their sum.
 #import tcgs::index::lane_index
-#import tcgs::ssim::{Image, Tail, REACH, STRIDE, BLOCK, four, held, inside, places, run_of, slide, unpack}
+#import tcgs::ssim::{Image, Tail, REACH, STRIDE, BLOCK, counted, four, held, inside, places, run_of, slide, unpack}
 
 @group(0) @binding(0) var<uniform> image: Image;
 @group(0) @binding(1) var<storage, read> render: array<f32>;
@@ -22,11 +22,11 @@ fn ssim_rows(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_inde
     // Starts a whole number of strides before the run, so that the sums are complete at its begin.
     for (var column = run.first + REACH - 3 * STRIDE; column < run.last + REACH; column += STRIDE) {
         let columns = four(column);
-        let counts = inside(columns, width);
         let pixels = run.line * width + held(columns, width);
         let at = 4u * pixels + run.channel;
         let packed = vec4u(photograph[pixels.x], photograph[pixels.y], photograph[pixels.z], photograph[pixels.w]);
-        // Outside the image there is zero.
+        // Outside the image there is zero, and where a pixel does not count.
+        let counts = inside(columns, width) & counted(packed);
         let x = select(vec4f(0.0), vec4f(render[at.x], render[at.y], render[at.z], render[at.w]), counts);
         let y = select(vec4f(0.0), unpack(packed, run.channel), counts);
         let sums = transpose(mat4x4f(

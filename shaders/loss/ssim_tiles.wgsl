@@ -3,8 +3,8 @@
 // squared error. A workgroup makes one channel of a tile.
 #import tcgs::ssim::{Image, REACH, similarity, total}
 #import tcgs::ssim_tile::{
-    Line, LANES, READERS, TILE, HALO, RUNS, FIELD, PITCH, blurred, column_sums, halo_sample, level, middle, place_of, row_run,
-    store_row_sums, work_of,
+    Line, LANES, READERS, TILE, HALO, RUNS, FIELD, PITCH, blurred, column_sums, halo_sample, level, middle, pixel_counts, place_of,
+    row_run, store_row_sums, work_of,
 }
 
 @group(0) @binding(0) var<uniform> image: Image;
@@ -15,7 +15,7 @@
 // [channel][tile]
 @group(0) @binding(4) var<storage, read_write> losses: array<vec4f>;
 
-// Samples of the render, then of the photograph, on the tile and its halo; zero outside the image.
+// Samples of the render, then of the photograph, on the tile and its halo; zero outside the image and where a pixel does not count.
 var<workgroup> samples: array<f32, 2u * FIELD>;
 // Each lane's share of the losses.
 var<workgroup> shares: array<vec4f, LANES>;
@@ -25,9 +25,11 @@ fn load(origin: vec2u, channel: u32, local: u32) {
     for (var row = local / READERS; column < HALO && row < HALO; row += LANES / READERS) {
         let sample = halo_sample(image, origin, column, row);
         let x = render[4u * sample.pixel + channel];
-        let y = level(photograph[sample.pixel], channel);
-        samples[sample.at] = select(0.0, x, sample.inside);
-        samples[FIELD + sample.at] = select(0.0, y, sample.inside);
+        let packed = photograph[sample.pixel];
+        let y = level(packed, channel);
+        let counts = sample.inside && pixel_counts(packed);
+        samples[sample.at] = select(0.0, x, counts);
+        samples[FIELD + sample.at] = select(0.0, y, counts);
     }
 }
 
@@ -76,7 +78,16 @@ fn compare(origin: vec2u, channel: u32, local: u32) -> f32 {
     for (var k = 0u; k < 4u; k++) {
         let place = origin + first + vec2u(0u, k);
         if all(place < image.size.xy) {
-            let at = field + place.y * image.size.x + place.x;
+            let pixel = place.y * image.size.x + place.x;
+            let at = field + pixel;
+#ifdef MASKED
+            if !pixel_counts(photograph[pixel]) {
+                derivatives[at] = 0.0;
+                derivatives[at + pixels] = 0.0;
+                derivatives[at + 2u * pixels] = 0.0;
+                continue;
+            }
+#endif
             derivatives[at] = similar.by_mean[k];
             derivatives[at + pixels] = similar.by_squares[k];
             derivatives[at + 2u * pixels] = similar.by_difference[k];

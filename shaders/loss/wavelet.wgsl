@@ -1,7 +1,7 @@
 // The wavelet constraint: the weighted absolute bands of two Haar levels of render minus photograph (the transform is linear,
 // so these are the differences of the bands). Adds its gradient to the image's and writes each block's partial loss after
 // those of the other losses (TC-GS (6), METHOD.md §4.7). Both levels lie within blocks of 4 x 4 pixels:
-// one block an invocation. Outside the image both are zero and need no gradient.
+// one block an invocation. Outside the image both are zero and need no gradient; so it is where a pixel does not count.
 
 #import tcgs::index::lane_index
 
@@ -34,11 +34,21 @@ fn inside(place: vec2u) -> bool {
     return place.x < constraint.size.x && place.y < constraint.size.y;
 }
 
+// By the weight in the fourth byte of a pixel's word. Without masks all count.
+fn counts(pixel: u32) -> bool {
+#ifdef MASKED
+    return photograph[pixel] >= 0xff000000u;
+#else
+    return true;
+#endif
+}
+
 fn difference(place: vec2u) -> vec3f {
     let held = min(place, constraint.size.xy - 1u);
     let pixel = held.y * constraint.size.x + held.x;
     let packed = vec3u(photograph[pixel]) >> vec3u(0u, 8u, 16u);
-    return select(vec3f(0.0), render[pixel].xyz - vec3f(packed & vec3u(255u)) / 255.0, inside(place));
+    let seen = inside(place) && counts(pixel);
+    return select(vec3f(0.0), render[pixel].xyz - vec3f(packed & vec3u(255u)) / 255.0, seen);
 }
 
 // The bands of a 2 x 2 block, a column each.
@@ -70,8 +80,9 @@ fn d_bands(block: mat4x3f, weights: vec4f) -> mat4x3f {
 }
 
 fn add(place: vec2u, gradient: vec3f) {
-    if inside(place) {
-        d_image[place.y * constraint.size.x + place.x] += vec4f(gradient, 0.0);
+    let pixel = place.y * constraint.size.x + place.x;
+    if inside(place) && counts(pixel) {
+        d_image[pixel] += vec4f(gradient, 0.0);
     }
 }
 

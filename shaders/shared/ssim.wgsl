@@ -96,6 +96,16 @@ fn unpack(packed: vec4u, channel: u32) -> vec4f {
     return vec4f((packed >> vec4u(8u * channel)) & vec4u(255u)) / 255.0;
 }
 
+// Whether pixels count, by the weight in the fourth byte of their words: 255 or 0. Those that do not are as pixels outside the image.
+// Without masks all count.
+fn counted(packed: vec4u) -> vec4<bool> {
+#ifdef MASKED
+    return packed >= vec4u(0xff000000u);
+#else
+    return vec4<bool>(true, true, true, true);
+#endif
+}
+
 fn total(values: vec4f) -> f32 {
     return values.x + values.y + values.z + values.w;
 }

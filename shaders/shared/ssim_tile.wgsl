@@ -107,6 +107,15 @@ fn level(packed: u32, channel: u32) -> f32 {
     return f32((packed >> (8u * channel)) & 255u) / 255.0;
 }
 
+// Whether a pixel counts, as `counted` of tcgs::ssim.
+fn pixel_counts(packed: u32) -> bool {
+#ifdef MASKED
+    return packed >= 0xff000000u;
+#else
+    return true;
+#endif
+}
+
 // Fourteen samples in line: all that the windows around the middle four reach.
 struct Line {
     a: vec4f,

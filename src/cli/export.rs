@@ -5,7 +5,8 @@ use std::path::{Path, PathBuf};
 use clap::builder::{PossibleValuesParser, TypedValueParser as _};
 use serde::Serialize;
 use tcgs::{
-    domain::{Camera, Dataset, Digest, Image, Problem, SceneFormat, Split},
+    domain::{Background, Camera, Dataset, Digest, Problem, SceneFormat, Split},
+    eval::Target,
     export::world::Origin,
 };
 
@@ -125,8 +126,7 @@ pub(crate) fn run(args: &Args) -> Result<Report, CliError> {
         None => None,
         Some(renderer) => {
             let background = file.background;
-            let photographs =
-                dataset.as_ref().map(|dataset| held_out(dataset, background.rgb8())).transpose()?;
+            let photographs = dataset.as_ref().map(|dataset| held_out(dataset, background)).transpose()?;
             Some(wiring::compare(&renderer, &exported, background, photographs.as_deref())?)
         }
     };
@@ -166,10 +166,10 @@ fn training_cameras(dataset: &Dataset) -> Vec<Camera> {
 }
 
 /// Held-out views with their photographs over a color.
-fn held_out(dataset: &Dataset, background: [u8; 3]) -> Result<Vec<(String, Camera, Image)>, Problem> {
+fn held_out(dataset: &Dataset, background: Background) -> Result<Vec<(String, Camera, Target)>, Problem> {
     dataset
         .split(Split::Test)
-        .map(|frame| Ok((frame.name.clone(), frame.camera, frame.image.load()?.over(background))))
+        .map(|frame| Ok((frame.name.clone(), frame.camera, Target::of(frame, background)?)))
         .collect()
 }
 

@@ -21,9 +21,7 @@ use tcgs::{
         AnchorScene, Background, Dataset, DatasetSummary, ExifOrientation, Image, MemoryLimits, NamedCamera,
         Problem, ProblemType, Scene, Scores, Split,
     },
-    eval::{
-        InFlight, PerceptualDistance, ViewTasks, band_errors, for_each_view, mean_scores_with, score_view,
-    },
+    eval::{InFlight, PerceptualDistance, Target, ViewTasks, band_errors, for_each_view, mean_scores_with},
     export::anchors,
     gpu::AdapterChoice,
     ingest::{self, LoadBudget},
@@ -119,8 +117,8 @@ pub(crate) fn high_band_error(
     let tasks = ViewTasks::<_, Problem> {
         render: &mut |frame| renderer.view(&frame.camera),
         process: &|frame, render| {
-            let photograph = frame.image.load()?.over(background.rgb8());
-            Ok(band_errors(&render, &photograph).map(|error| error.high))
+            let target = Target::of(frame, background)?;
+            Ok(band_errors(&target.masked(&render), target.photograph()).map(|error| error.high))
         },
         collect: &mut |error| {
             errors.extend(error);
@@ -235,19 +233,19 @@ pub(crate) fn score(
         },
         process: &|frame, render| {
             let name = &frame.name;
-            let photograph = frame.image.load().map_err(Problem::from)?.over(background.rgb8());
-            let mut score = score_view(name, &render, &photograph).ok_or_else(|| {
+            let target = Target::of(frame, background).map_err(Problem::from)?;
+            let mut score = target.score(name, &render).ok_or_else(|| {
                 let detail = format!("the render of {name} is not of its photograph's size");
                 Problem::new(ProblemType::Internal, detail)
             })?;
             if let Some(lpips) = lpips {
-                let distance = lpips.distance(&render, &photograph);
+                let distance = lpips.distance(&target.masked(&render), target.photograph());
                 score.lpips = Some(distance.map_err(|error| Problem::from(error).in_file(name))?);
             }
-            Ok((score, render, photograph))
+            Ok((score, render, target))
         },
-        collect: &mut |(score, render, photograph)| {
-            each(&score.name, &render, &photograph)?;
+        collect: &mut |(score, render, target)| {
+            each(&score.name, &render, target.photograph())?;
             scores.push(score);
             Ok(())
         },

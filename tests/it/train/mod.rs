@@ -5,6 +5,7 @@ mod basis;
 mod checkpoint;
 mod context;
 mod loss;
+mod masked_loss;
 mod memory;
 #[allow(dead_code, reason = "tests of the renderer use the rest")]
 #[path = "../../../crates/tcgs-render/tests/it/neural/scene.rs"]

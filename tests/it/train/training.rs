@@ -74,7 +74,7 @@ pub(crate) fn dataset() -> Dataset {
     let frames = (0..9).map(|index| {
         let split = if index == 4 { Split::Test } else { Split::Train };
         let camera = camera(index);
-        Frame { name: format!("{index}"), camera, image: photograph(&camera).into(), split }
+        Frame { name: format!("{index}"), camera, image: photograph(&camera).into(), mask: None, split }
     });
     Dataset {
         layout: Layout::Colmap,

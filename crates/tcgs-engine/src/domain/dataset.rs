@@ -1,13 +1,13 @@
 //! A posed image set: frames with their cameras and pixels, an optional point cloud, and the hold-out rule.
 //!
-//! In a [`Dataset`] every frame's image has exactly its camera's size, names are unique, frames are sorted by
+//! In a [`Dataset`] every frame's image, and its mask if it has one, has exactly its camera's size, names are unique, frames are sorted by
 //! name within their split, and at least one frame is for training.
 
 use serde::{Deserialize, Serialize};
 
 use tcgs_codec::named_choice;
 
-use super::{Camera, Digest, Photograph};
+use super::{Camera, Digest, Photograph, PixelMask};
 
 /// Every eighth image by name is held out if the layout has no test split (METHOD.md §1.1).
 pub const HOLD_OUT_EVERY: usize = 8;
@@ -63,6 +63,8 @@ pub struct Frame {
     pub camera: Camera,
     /// Pixels of exactly the camera's size.
     pub image: Photograph,
+    /// Which pixels count, in training as in every figure; all without one.
+    pub mask: Option<PixelMask>,
     /// Train or test.
     pub split: Split,
 }
@@ -108,10 +110,11 @@ impl Dataset {
         self.frames.iter().filter(move |frame| frame.split == split)
     }
 
-    /// Bytes of the photographs in memory.
+    /// Bytes of the photographs in memory, with their masks.
     #[must_use]
     pub fn bytes_in_memory(&self) -> u64 {
-        self.frames.iter().map(|frame| frame.image.bytes_in_memory()).sum()
+        let mask = |frame: &Frame| frame.mask.as_ref().map_or(0, PixelMask::bytes_in_memory);
+        self.frames.iter().map(|frame| frame.image.bytes_in_memory() + mask(frame)).sum()
     }
 
     /// The frame called `name`, as [`find_name`] finds it.

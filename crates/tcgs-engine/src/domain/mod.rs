@@ -5,10 +5,12 @@ pub mod clock;
 pub mod dataset;
 mod exported_scene;
 pub mod failure_point;
+mod pixel_mask;
 
 pub use causes::{causes, is_no_space};
 pub use clock::{Clock, ManualClock, SystemClock};
 pub use dataset::{Dataset, DatasetSummary, Frame, Layout, NamedCamera, PointCloud, Split};
 pub use exported_scene::{ExportFidelity, ExportedScene};
 pub use failure_point::FailurePoint;
+pub use pixel_mask::PixelMask;
 pub use tcgs_codec::domain::*;

@@ -1,9 +1,8 @@
 //! Renders frames of a dataset and compares them with their photographs.
 
 use super::{
-    PerceptualDistance,
+    PerceptualDistance, Target,
     overlap::{InFlight, ViewTasks, for_each_view},
-    psnr, score_view,
 };
 use crate::{
     domain::{Background, Frame, Image, ViewScore},
@@ -21,7 +20,7 @@ pub struct ViewMeasurement<'a, E> {
 }
 
 impl<E: From<RenderError> + Send> ViewMeasurement<'_, E> {
-    /// PSNR and SSIM of each frame, and LPIPS where it is measured. A frame that it cannot compare has none; the log says
+    /// PSNR and SSIM of each frame over the pixels that count, and LPIPS, of images black elsewhere, where it is measured. A frame that it cannot compare has none; the log says
     /// why.
     ///
     /// # Errors
@@ -33,10 +32,10 @@ impl<E: From<RenderError> + Send> ViewMeasurement<'_, E> {
     ) -> Result<Vec<ViewScore>, E> {
         // LPIPS has some 300 bytes per pixel.
         let in_flight = if lpips.is_some() { InFlight::One } else { InFlight::Several };
-        self.compare(frames, in_flight, &|frame, render, photograph| {
-            let mut score = score_view(&frame.name, render, photograph)?;
+        self.compare(frames, in_flight, &|frame, render, target| {
+            let mut score = target.score(&frame.name, render)?;
             score.lpips = lpips.and_then(|lpips| {
-                let distance = lpips.distance(render, photograph);
+                let distance = lpips.distance(&target.masked(render), target.photograph());
                 distance
                     .inspect_err(|error| tracing::warn!("{}: no LPIPS: {}", frame.name, error.detail))
                     .ok()
@@ -50,8 +49,7 @@ impl<E: From<RenderError> + Send> ViewMeasurement<'_, E> {
     /// # Errors
     /// As [`ViewMeasurement::scores`].
     pub fn mean_psnr(self, frames: &[&Frame]) -> Result<Option<f64>, E> {
-        let values =
-            self.compare(frames, InFlight::Several, &|_, render, photograph| psnr(render, photograph))?;
+        let values = self.compare(frames, InFlight::Several, &|_, render, target| target.psnr(render))?;
         Ok((!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64))
     }
 
@@ -59,7 +57,7 @@ impl<E: From<RenderError> + Send> ViewMeasurement<'_, E> {
         self,
         frames: &[&Frame],
         in_flight: InFlight,
-        compare: &(dyn Fn(&Frame, &Image, &Image) -> Option<T> + Sync),
+        compare: &(dyn Fn(&Frame, &Image, &Target) -> Option<T> + Sync),
     ) -> Result<Vec<T>, E> {
         let Self { renderer, background, before_each } = self;
         let mut views = renderer.views(frames.iter().map(|frame| frame.camera));
@@ -71,9 +69,9 @@ impl<E: From<RenderError> + Send> ViewMeasurement<'_, E> {
                 Ok(views.next().ok_or_else(no_view)??)
             },
             process: &|frame, render| {
-                let photograph = frame.image.load().map_err(RenderError::from)?.over(background.rgb8());
+                let target = Target::of(frame, background).map_err(RenderError::from)?;
                 let size = || RenderError::Scene(format!("frame {} is not of its camera's size", frame.name));
-                Ok(compare(frame, &render, &photograph).ok_or_else(size)?)
+                Ok(compare(frame, &render, &target).ok_or_else(size)?)
             },
             collect: &mut |result| {
                 compared.push(result);

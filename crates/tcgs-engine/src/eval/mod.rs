@@ -17,6 +17,7 @@ mod removal;
 mod removal_signs;
 mod scores;
 mod ssim;
+mod target;
 
 pub use bands::{BandErrors, band_errors};
 pub use error_map::{ERROR_CEILING, error_map, error_ramp, shrunk};
@@ -31,3 +32,4 @@ pub use removal::{RemovalCosts, removal_costs};
 pub use removal_signs::signs;
 pub use scores::{mean_scores, mean_scores_with, score_view};
 pub use ssim::ssim;
+pub use target::Target;

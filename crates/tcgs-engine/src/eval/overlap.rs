@@ -136,6 +136,7 @@ mod tests {
                 name: index.to_string(),
                 camera: Camera::new(intrinsics, pose).expect("a camera"),
                 image: image(side).into(),
+                mask: None,
                 split: Split::Test,
             }
         };

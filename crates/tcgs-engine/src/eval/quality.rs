@@ -10,6 +10,11 @@ const PSNR_CEILING: f64 = 100.0;
 /// PSNR in dB with the squared error pooled over the three channels; `None` if the sizes differ or there is alpha.
 #[must_use]
 pub fn psnr(a: &Image, b: &Image) -> Option<f64> {
+    psnr_counted(a, b, None)
+}
+
+/// As [`psnr`] over the pixels that count, whose number is `counted`, or all; the images are equal at the others.
+pub(super) fn psnr_counted(a: &Image, b: &Image, counted: Option<u64>) -> Option<f64> {
     comparable(a, b)?;
     // The square of each difference of two levels.
     let squares: [f64; 256] = array::from_fn(|difference| {
@@ -18,7 +23,8 @@ pub fn psnr(a: &Image, b: &Image) -> Option<f64> {
     });
     let pairs = a.samples().iter().zip(b.samples());
     let sum: f64 = pairs.map(|(x, y)| squares[usize::from(x.abs_diff(*y))]).sum();
-    let mse = sum / a.samples().len() as f64;
+    let samples = counted.map_or(a.samples().len() as u64, |counted| 3 * counted.max(1));
+    let mse = sum / samples as f64;
     Some(if mse > 0.0 { (-10.0 * mse.log10()).min(PSNR_CEILING) } else { PSNR_CEILING })
 }
 

@@ -9,7 +9,7 @@ use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
 
 use super::quality::comparable;
-use crate::domain::Image;
+use crate::domain::{Image, PixelMask};
 
 const WINDOW: usize = 11;
 const REACH: usize = WINDOW / 2;
@@ -37,7 +37,16 @@ type Row = [Lanes; TILE_LANES];
 /// `None` if the sizes differ or there is alpha. Allocates eight bytes per pixel.
 #[must_use]
 pub fn ssim(a: &Image, b: &Image) -> Option<f64> {
+    ssim_where(a, b, None)
+}
+
+/// As [`ssim`], the mean over the pixels that count; 1 where none does.
+pub(super) fn ssim_where(a: &Image, b: &Image, mask: Option<&PixelMask>) -> Option<f64> {
     comparable(a, b)?;
+    let counted = mask.map_or(u64::from(a.width()) * u64::from(a.height()), PixelMask::counted);
+    if counted == 0 {
+        return Some(1.0);
+    }
     let (width, height) = (a.width() as usize, a.height() as usize);
     let taps = window();
     let levels = array::from_fn(|level| level as f64 / 255.0);
@@ -50,11 +59,15 @@ pub fn ssim(a: &Image, b: &Image) -> Option<f64> {
         bands.for_each_init(TileSums::new, |sums, (band, values)| {
             arch.dispatch(BandValues { pair: &pair, sums, top: band * BAND, values });
         });
-        for value in &values {
-            total += value;
+        match mask {
+            None => values.iter().for_each(|value| total += value),
+            Some(mask) => {
+                let counting = values.iter().zip(mask.iter()).filter(|(_, counts)| *counts);
+                counting.for_each(|(value, _)| total += value);
+            }
         }
     }
-    Some(total / (3 * width * height) as f64)
+    Some(total / (3 * counted) as f64)
 }
 
 fn window() -> [f64; WINDOW] {

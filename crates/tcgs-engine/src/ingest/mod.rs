@@ -219,7 +219,13 @@ fn load_tree(
                 return Err(IngestErrorKind::Stopped.into());
             }
             let image = store.photograph(&tree, &view, limits)?;
-            Ok(Frame { name: view.frame.name, camera: view.camera, image, split: view.frame.split })
+            Ok(Frame {
+                name: view.frame.name,
+                camera: view.camera,
+                image,
+                mask: None,
+                split: view.frame.split,
+            })
         })
         .collect();
     Ok(Dataset {

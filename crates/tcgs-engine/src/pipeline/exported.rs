@@ -7,7 +7,7 @@ use crate::{
         Background, Camera, ExportFidelity, GaussianScene, Image, NearPlane, Problem, ProblemType, Scene,
         SceneFormat, SceneFrame, evenly_spaced::evenly_spaced, harmonics,
     },
-    eval::{mean_scores_with, psnr, score_view},
+    eval::{Target, mean_scores_with, psnr},
     export::{
         bake::{self, BakeSettings},
         spz::{Packed, SpzVersion, to_spz},
@@ -176,7 +176,7 @@ pub fn compare(
     source: &SceneViews,
     exported: &Exported,
     background: Background,
-    photographs: Option<&[(String, Camera, Image)]>,
+    photographs: Option<&[(String, Camera, Target)]>,
 ) -> Result<Quality, Problem> {
     let exported = exported_beside(source, exported, background)?;
     let mut to_source = Vec::new();
@@ -188,8 +188,8 @@ pub fn compare(
             for (name, camera, photograph) in photographs {
                 let pair = pair(source, &exported, camera)?;
                 to_source.push(pair.psnr);
-                before.push(score_view(name, &pair.source, photograph).ok_or_else(different)?);
-                after.push(score_view(name, &pair.exported, photograph).ok_or_else(different)?);
+                before.push(photograph.score(name, &pair.source).ok_or_else(different)?);
+                after.push(photograph.score(name, &pair.exported).ok_or_else(different)?);
             }
             of_source = mean_scores_with(&before, None).psnr;
             of_exported = mean_scores_with(&after, None).psnr;

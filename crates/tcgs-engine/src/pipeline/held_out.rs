@@ -8,7 +8,7 @@ use thiserror::Error;
 use super::{error::JobError, inputs::RunInputs, scene_file};
 use crate::{
     domain::{Frame, HeldOut, HeldOutView, Image, PhotographError, Problem, Scores, ViewScore},
-    eval::{ERROR_CEILING, InFlight, ViewTasks, error_map, error_ramp, for_each_view, shrunk},
+    eval::{ERROR_CEILING, InFlight, Target, ViewTasks, error_map, error_ramp, for_each_view, shrunk},
     picture::{PictureError, PictureFormat},
     render::{RenderError, Renderer},
 };
@@ -76,10 +76,7 @@ fn held_out(
             }
             Ok(renderer.render(&frame.camera)?)
         },
-        process: &|frame, render| {
-            let photograph = frame.image.load()?.over(file.background.rgb8());
-            ViewPictures::of(frame, &render, &photograph)
-        },
+        process: &|frame, render| ViewPictures::of(frame, &render, &Target::of(frame, file.background)?),
         collect: &mut |made| {
             pictures.push(made);
             Ok(())
@@ -117,9 +114,11 @@ struct ViewPictures {
 }
 
 impl ViewPictures {
-    fn of(frame: &Frame, render: &Image, photograph: &Image) -> Result<Self, HeldOutError> {
+    /// The error is none where no pixel counts.
+    fn of(frame: &Frame, render: &Image, target: &Target) -> Result<Self, HeldOutError> {
         let size = || HeldOutError::Size(frame.name.clone());
-        let error = error_map(render, photograph, SIDE).ok_or_else(size)?;
+        let photograph = target.photograph();
+        let error = error_map(&target.masked(render), photograph, SIDE).ok_or_else(size)?;
         let small = |image| shrunk(image, SIDE).ok_or_else(size);
         Ok(Self {
             width: error.width(),

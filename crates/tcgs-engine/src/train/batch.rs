@@ -1,6 +1,6 @@
 //! Batches of steps: how many are submitted at a time, and what is known of those in flight.
 
-use super::checkpoint::RunState;
+use super::{checkpoint::RunState, loss::PartialSums};
 use crate::gpu::Readback;
 
 /// Steps between two reports of progress, and so the largest number of steps in a batch.
@@ -45,6 +45,8 @@ pub(super) struct Flight {
     pub last: u32,
     /// Whether the figures of that step are reported once it is settled.
     pub is_reported: bool,
+    /// Where the losses of that step are.
+    pub losses: Option<PartialSums>,
     /// The rasterizer's counters after that step, then its figures if they are reported.
     pub reading: Readback,
 }

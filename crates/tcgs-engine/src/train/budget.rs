@@ -49,6 +49,8 @@ pub struct Needs<'a> {
     /// Whether there are images of other sizes.
     mixed: bool,
     photographs: u64,
+    /// Whether there are masks.
+    masked: bool,
     /// Bytes of the training photographs that may be kept packed: those in memory.
     packed: u64,
     /// Points of the cloud, or random ones.
@@ -68,6 +70,7 @@ impl<'a> Needs<'a> {
             largest,
             mixed: sizes().any(|size| size != largest),
             photographs: dataset.bytes_in_memory(),
+            masked: dataset.frames.iter().any(|frame| frame.mask.is_some()),
             packed: dataset
                 .split(Split::Train)
                 .filter(|frame| frame.image.bytes_in_memory() > 0)
@@ -109,6 +112,8 @@ impl<'a> Needs<'a> {
         let raster = |gaussians, pairs| Rasterizer::bytes(self.adapter, gaussians, pairs, self.largest);
         let pairs = self.pairs(gaussians);
         let part = |name, bytes| Part { name, bytes };
+        // With a mask, both images are copied once more.
+        let measuring = if self.masked { measuring_bytes(pixels) * 3 / 2 } else { measuring_bytes(pixels) };
         let of_steps = (sizes + IN_FLIGHT) * PACKED * pixels;
         let [on_device, on_host] = match photographs {
             PhotographPlace::Device => [self.packed, 0],
@@ -131,7 +136,7 @@ impl<'a> Needs<'a> {
                 part("photographs", self.photographs),
                 part("packed photographs", on_host),
                 // Views are measured when no step runs.
-                part("photographs in use", (STEP_BYTES_A_PIXEL * pixels).max(measuring_bytes(pixels))),
+                part("photographs in use", (STEP_BYTES_A_PIXEL * pixels).max(measuring)),
                 part("points", POINT_BYTES * self.points as u64),
                 part("growth", model.host_bytes(size)),
                 part("program", PROGRAM_BYTES),
@@ -210,6 +215,7 @@ mod tests {
                 name: index.to_string(),
                 camera: Camera::new(intrinsics, pose).expect("a camera"),
                 image: Image::new(*width, *height, 3, samples).expect("an image").into(),
+                mask: None,
                 split: Split::Train,
             }
         });

@@ -77,21 +77,27 @@ struct Kernels {
     sums: Arc<Kernel>,
 }
 
+/// The definitions of kernels for photographs of which some pixels do not count, or for those of which all do.
+fn definitions(masked: bool) -> &'static [(&'static str, u32)] {
+    if masked { &[("MASKED", 1)] } else { &[] }
+}
+
 /// The kernels of L1, SSIM and their gradient.
 #[derive(Debug)]
 enum ImageKernels {
-    Software { rows: Arc<Kernel>, columns: Arc<Kernel>, gradient: Arc<Kernel> },
+    Software { rows: Arc<Kernel>, columns: Arc<Kernel>, gradient: Arc<Kernel>, masked: bool },
     Hardware { tiles: Arc<Kernel>, gradient: Arc<Kernel> },
 }
 
 impl ImageKernels {
-    fn new(device: &Device) -> Result<Self, GpuError> {
-        let kernel = |source| device.kernel(source, &[]);
+    fn new(device: &Device, masked: bool) -> Result<Self, GpuError> {
+        let kernel = |source| device.kernel(source, definitions(masked));
         Ok(match device.variant() {
             KernelVariant::Software => Self::Software {
                 rows: kernel(kernel_source!("ssim_rows"))?,
                 columns: kernel(kernel_source!("ssim_columns"))?,
                 gradient: kernel(kernel_source!("image_gradient"))?,
+                masked,
             },
             KernelVariant::Hardware => Self::Hardware {
                 tiles: kernel(kernel_source!("ssim_tiles"))?,
@@ -110,11 +116,14 @@ impl ImageKernels {
     ) {
         let Fields { division, moments, derivatives, losses, gradient: d_image, .. } = fields;
         match self {
-            Self::Software { rows, columns, gradient } => {
+            Self::Software { rows, columns, gradient, masked } => {
                 let [by_rows, by_columns] = [division.by_rows(), division.by_columns()]
                     .map(|invocations| (division.channels * invocations).div_ceil(64));
                 recorder.dispatch(rows, &[uniform, render, photograph, moments], by_rows);
-                recorder.dispatch(columns, &[uniform, moments, derivatives, losses], by_columns);
+                let of_columns: [Binding<'_>; 5] = [uniform, moments, derivatives, losses, photograph];
+                // Where all pixels count, the kernel does not bind the photograph.
+                let bound = if *masked { of_columns.len() } else { of_columns.len() - 1 };
+                recorder.dispatch(columns, &of_columns[..bound], by_columns);
                 recorder.dispatch(
                     gradient,
                     &[uniform, render, photograph, derivatives, losses, d_image],
@@ -233,7 +242,7 @@ impl Fields {
     }
 }
 
-/// The difference of render and photograph: means over all samples of an image.
+/// The difference of render and photograph: means over all samples of an image that count.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct LossSums {
     /// Mean SSIM.
@@ -267,6 +276,8 @@ pub struct PartialSums {
     pub sums: Buffer<[f32; 4]>,
     /// Samples of the image.
     samples: usize,
+    /// How many of them count.
+    counted: usize,
 }
 
 impl PartialSums {
@@ -275,8 +286,11 @@ impl PartialSums {
     pub fn total(&self, sums: &[[f32; 4]]) -> LossSums {
         let sum =
             |part: usize| sums.iter().take(self.sums.len()).map(|run| f64::from(run[part])).sum::<f64>();
-        let mean = |part: usize| sum(part) / self.samples as f64;
-        LossSums { ssim: mean(0), l1: mean(1), mse: mean(2), wavelet: sum(3) }
+        // A photograph of which nothing counts has no loss.
+        let counted = self.counted.max(1) as f64;
+        let mean = |part: usize| sum(part) / counted;
+        let ssim = if self.counted == 0 { 1.0 } else { mean(0) };
+        LossSums { ssim, l1: mean(1), mse: mean(2), wavelet: sum(3) * (self.samples as f64 / counted) }
     }
 }
 
@@ -287,6 +301,8 @@ pub struct ImageLoss {
     kernels: Kernels,
     run: u32,
     fields: Option<Fields>,
+    /// Pixels of the last image that count.
+    counted: usize,
 }
 
 impl ImageLoss {
@@ -295,14 +311,28 @@ impl ImageLoss {
         Self::with_run(device, RUN)
     }
 
+    /// As [`ImageLoss::new`], for photographs of which some pixels do not count.
+    pub fn masked(device: Arc<Device>) -> Result<Self, GpuError> {
+        Self::with(device, RUN, true)
+    }
+
+    /// As [`ImageLoss::masked`], with invocations as those of [`ImageLoss::with_run`].
+    pub fn masked_with_run(device: Arc<Device>, run: u32) -> Result<Self, GpuError> {
+        Self::with(device, run, true)
+    }
+
     /// As [`ImageLoss::new`], with invocations of the software's kernels that make `run` pixels in line, a multiple of 4.
     pub fn with_run(device: Arc<Device>, run: u32) -> Result<Self, GpuError> {
+        Self::with(device, run, false)
+    }
+
+    fn with(device: Arc<Device>, run: u32, masked: bool) -> Result<Self, GpuError> {
         let kernels = Kernels {
-            image: ImageKernels::new(&device)?,
-            wavelet: device.kernel(kernel_source!("wavelet"), &[])?,
+            image: ImageKernels::new(&device, masked)?,
+            wavelet: device.kernel(kernel_source!("wavelet"), definitions(masked))?,
             sums: device.kernel(kernel_source!("sum_losses"), &[])?,
         };
-        Ok(Self { device, kernels, run, fields: None })
+        Ok(Self { device, kernels, run, fields: None, counted: 0 })
     }
 
     /// Bytes on the device once images of up to `size` were compared, at most.
@@ -317,7 +347,7 @@ impl ImageLoss {
     }
 
     /// Records the loss of `render` against `photograph` (packed 8-bit RGB, one word a pixel, red lowest) and its gradient; without
-    /// `wavelet` the constraint costs nothing. The fourth byte of a word is a weight that no kernel reads yet.
+    /// `wavelet` the constraint costs nothing. All pixels count.
     pub fn record(
         &mut self,
         recorder: &mut Recorder<'_>,
@@ -326,6 +356,22 @@ impl ImageLoss {
         photograph: &Buffer<u32>,
         wavelet: Option<&WaveletWeights>,
     ) -> Result<&Buffer<[f32; 4]>, GpuError> {
+        let pixels = size[0] as usize * size[1] as usize;
+        self.record_counted(recorder, size, render, (photograph, pixels), wavelet)
+    }
+
+    /// As [`ImageLoss::record`], where the fourth byte of a pixel's word is its weight, 255 or 0, as [`ImageLoss::masked`] reads it, and
+    /// so many pixels have 255. The others are as pixels outside the image: zero in both, without gradient. The gradient is that of the
+    /// sums divided by all samples, so that a pixel weighs the same in every photograph.
+    pub fn record_counted(
+        &mut self,
+        recorder: &mut Recorder<'_>,
+        size: [u32; 2],
+        render: &Buffer<[f32; 4]>,
+        (photograph, counted): (&Buffer<u32>, usize),
+        wavelet: Option<&WaveletWeights>,
+    ) -> Result<&Buffer<[f32; 4]>, GpuError> {
+        self.counted = counted;
         let division = Division::of(size, self.run, self.device.adapter());
         let fields = Fields::plan(division, self.fields.as_ref()).make(&self.device)?;
         let fields = &*self.fields.insert(fields);
@@ -369,6 +415,7 @@ impl ImageLoss {
     #[must_use]
     pub fn partial_sums(&self) -> Option<PartialSums> {
         let fields = self.fields.as_ref()?;
-        Some(PartialSums { sums: fields.sums.clone(), samples: 3 * fields.division.pixels() })
+        let (samples, counted) = (3 * fields.division.pixels(), 3 * self.counted);
+        Some(PartialSums { sums: fields.sums.clone(), samples, counted })
     }
 }

@@ -12,7 +12,7 @@ use std::{
 
 use super::{PhotographPlace, Result, TrainError};
 use crate::{
-    domain::{Background, Frame, Photograph, PhotographError},
+    domain::{Background, Frame, Photograph, PhotographError, PixelMask},
     gpu::{Buffer, Device, Recorder},
 };
 
@@ -32,7 +32,7 @@ type Preparation = mpsc::Receiver<Result<Vec<u32>, PhotographError>>;
 /// The photographs of a run.
 pub(super) struct Photographs {
     device: Arc<Device>,
-    images: Vec<Photograph>,
+    images: Vec<(Photograph, Option<PixelMask>)>,
     background: Background,
     place: PhotographPlace,
     kept: Vec<Option<Kept>>,
@@ -47,8 +47,16 @@ pub(super) fn pack(rgb: &[u8]) -> Vec<u32> {
     rgb.chunks_exact(3).map(|p| u32::from_le_bytes([p[0], p[1], p[2], 255])).collect()
 }
 
-fn packed(photograph: &Photograph, background: Background) -> Result<Vec<u32>, PhotographError> {
-    Ok(pack(photograph.load()?.over(background.rgb8()).samples()))
+fn packed(
+    (photograph, mask): &(Photograph, Option<PixelMask>),
+    background: Background,
+) -> Result<Vec<u32>, PhotographError> {
+    let mut words = pack(photograph.load()?.over(background.rgb8()).samples());
+    if let Some(mask) = mask {
+        // Of what is ignored not even the color is kept.
+        words.iter_mut().zip(mask.iter()).filter(|(_, counts)| !counts).for_each(|(word, _)| *word = 0);
+    }
+    Ok(words)
 }
 
 impl Photographs {
@@ -60,7 +68,7 @@ impl Photographs {
     ) -> Self {
         Self {
             device: Arc::clone(device),
-            images: frames.iter().map(|frame| frame.image.clone()).collect(),
+            images: frames.iter().map(|frame| (frame.image.clone(), frame.mask.clone())).collect(),
             background,
             place,
             kept: vec![None; frames.len()],
@@ -102,18 +110,18 @@ impl Photographs {
             if is_prepared || self.kept[index].is_some() || self.prepared.len() >= AHEAD {
                 continue;
             }
-            let (photograph, background) = (self.images[index].clone(), self.background);
+            let (image, background) = (self.images[index].clone(), self.background);
             let (sender, receiver) = mpsc::channel();
             rayon::spawn(move || {
                 // Nobody waits for it once the run has ended.
-                let _ = sender.send(packed(&photograph, background));
+                let _ = sender.send(packed(&image, background));
             });
             self.prepared.push_back((index, receiver));
         }
     }
 
     fn keeps(&self, index: usize) -> bool {
-        self.place != PhotographPlace::Nowhere && self.images[index].bytes_in_memory() > 0
+        self.place != PhotographPlace::Nowhere && self.images[index].0.bytes_in_memory() > 0
     }
 
     /// The words of a photograph, which a thread may have prepared.

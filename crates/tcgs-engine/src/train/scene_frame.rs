@@ -106,6 +106,7 @@ mod tests {
                 name: format!("{index}"),
                 camera: Camera::new(intrinsics, pose.expect("a pose")).expect("a camera"),
                 image: Image::new(4, 4, 3, vec![0; 48]).expect("an image").into(),
+                mask: None,
                 split: if index % 4 == 3 { Split::Test } else { Split::Train },
             }
         };

@@ -35,6 +35,7 @@ mod tests {
             name: format!("{position}"),
             camera: Camera::new(intrinsics, pose).expect("a camera"),
             image: Image::new(4, 4, 3, vec![0; 48]).expect("an image").into(),
+            mask: None,
             split: Split::Train,
         }
     }

@@ -8,6 +8,7 @@ use std::{
 
 use tcgs::{
     domain::{Dataset, Digest, ModelKind, Phase, Problem, Progress, SceneFormat, Split, TrainOptions},
+    eval::Target,
     export::world::Origin,
     gpu::AdapterChoice,
     pipeline::{CheckpointPlan, JobError, JobOutput, Pipeline, ReferenceViews, RunJob as _},
@@ -263,7 +264,7 @@ fn export(
     let background = file.background;
     let mut photographs = Vec::new();
     for frame in dataset.split(Split::Test) {
-        let photograph = frame.image.load().map_err(Problem::from)?.over(background.rgb8());
+        let photograph = Target::of(frame, background).map_err(Problem::from)?;
         photographs.push((frame.name.clone(), frame.camera, photograph));
     }
     let quality = wiring::compare(renderer, &exported, background, Some(&photographs))?;

@@ -17,6 +17,7 @@ use super::{
     anchor_trainer::AnchorTrainer,
     batch::{Batch, Flight, REPORT_INTERVAL},
     checkpoint::{ModelState, RunIdentity, RunState},
+    loss::PartialSums,
     model_trainer::{BitrateSample, FigureBuffers, FinishedModel, ModelTrainer, Step, Views},
     photographs::Photographs,
     plain::PlainTrainer,
@@ -231,6 +232,13 @@ fn is_long(device: &Device, gaussians: usize, camera: &Camera) -> bool {
     device.variant() == KernelVariant::Hardware && milliseconds > MAX_SUBMISSION_MS
 }
 
+/// The loss against photographs, of which all pixels count or not.
+fn loss_of(device: &Arc<Device>, frames: &[Frame]) -> Result<ImageLoss> {
+    let masked = frames.iter().any(|frame| frame.mask.is_some());
+    let make = if masked { ImageLoss::masked } else { ImageLoss::new };
+    Ok(make(Arc::clone(device))?)
+}
+
 /// Figures of a step.
 struct Figures {
     /// None before the first loss.
@@ -344,7 +352,7 @@ impl Run {
             background: options.background,
             model,
             raster: Rasterizer::new(Arc::clone(device), settings)?,
-            loss: ImageLoss::new(Arc::clone(device))?,
+            loss: loss_of(device, &set.frames)?,
             wavelet: options.has(Component::Wavelet),
             started: now,
             first_step: state.step,
@@ -479,7 +487,8 @@ impl Run {
             if let Some((last, pauses, reading)) = reading {
                 let steps = before.len() as u32;
                 let is_reported = !pauses && self.reports_after(last.number);
-                self.flights.push_back(Flight { before, last: last.number, is_reported, reading });
+                let losses = self.loss.partial_sums();
+                self.flights.push_back(Flight { before, last: last.number, is_reported, losses, reading });
                 return Ok((last, steps, pauses));
             }
         }
@@ -504,7 +513,7 @@ impl Run {
     fn settle(&mut self, left: usize) -> Result<bool> {
         while self.flights.len() > left {
             let Some(flight) = self.flights.pop_front() else { break };
-            let Flight { mut before, last, is_reported, reading } = flight;
+            let Flight { mut before, last, is_reported, losses, reading } = flight;
             let steps = before.len();
             let read = reading.wait(&self.device)?;
             let passes = self.raster.forward_passes(&read[0]);
@@ -521,7 +530,7 @@ impl Run {
             }
             self.settled_passes += steps;
             if is_reported {
-                let figures = self.figures_of(&read[1..]);
+                let figures = self.figures_of(losses, &read[1..]);
                 self.take_figures(last, &figures)?;
             }
         }
@@ -554,9 +563,12 @@ impl Run {
         self.raster.forward(&mut recorder, self.model.gaussians(), &camera, self.background.rgb())?;
         next_stage(&mut recorder, "loss")?;
         let size = [camera.intrinsics.width, camera.intrinsics.height];
+        let pixels = size[0] as usize * size[1] as usize;
+        let counted = self.frames[index].mask.as_ref().map_or(pixels, |mask| mask.counted() as usize);
         let wavelet = self.wavelet.then(|| WaveletWeights::at(step.fraction));
-        let d_image =
-            self.loss.record(&mut recorder, size, self.raster.image(), &photograph, wavelet.as_ref())?;
+        let photograph = (&photograph, counted);
+        let render = self.raster.image();
+        let d_image = self.loss.record_counted(&mut recorder, size, render, photograph, wavelet.as_ref())?;
         let gaussians = self.model.gaussians().clone();
         let d_gaussians = self.model.gaussian_gradients()?;
         next_stage(&mut recorder, "rasterizer backward")?;
@@ -589,12 +601,11 @@ impl Run {
         buffers
     }
 
-    /// The figures in copies of [`Self::figure_buffers`].
-    fn figures_of(&self, copies: &[Vec<u32>]) -> Figures {
+    /// The figures in copies of [`Self::figure_buffers`], of a step whose losses are in `losses`.
+    fn figures_of(&self, losses: Option<PartialSums>, copies: &[Vec<u32>]) -> Figures {
         let FigureBuffers { counts, bits } = self.model.figures();
         let mut copies = copies.iter();
-        let partial = self.loss.partial_sums();
-        let sums = partial.and_then(|partial| {
+        let sums = losses.and_then(|partial| {
             Some(partial.total(bytemuck::try_cast_slice(copies.next()?).unwrap_or_default()))
         });
         let counts = counts.and_then(|_| copies.next().cloned());
@@ -607,7 +618,7 @@ impl Run {
         let buffers = self.figure_buffers();
         let buffers: Vec<Binding<'_>> = buffers.iter().map(|buffer| &**buffer).collect();
         let reading = self.device.recorder("figures").submit_reading(&buffers)?;
-        Ok(self.figures_of(&reading.wait(&self.device)?))
+        Ok(self.figures_of(self.loss.partial_sums(), &reading.wait(&self.device)?))
     }
 
     /// Updates averages, the estimate of the file's size, and lambda by the figures of `step`, and adds its report to the news.

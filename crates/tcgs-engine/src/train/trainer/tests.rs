@@ -23,7 +23,7 @@ fn dataset() -> Dataset {
         let camera = Camera::new(intrinsics, pose.expect("a view")).expect("a camera");
         let samples = (0..64 * 48 * 3).map(|_| rng.random()).collect();
         let image = Image::new(64, 48, 3, samples).expect("an image");
-        Frame { name: index.to_string(), camera, image: image.into(), split: Split::Train }
+        Frame { name: index.to_string(), camera, image: image.into(), mask: None, split: Split::Train }
     });
     let frames = frames.collect();
     let mut rng = Pcg64::seed_from_u64(2);

@@ -11,8 +11,8 @@ pub use context::{
     quantize_gradient, quantize_rows, rate, refresh_quant_steps, round_rows, sum_bits, symbol_bits,
 };
 pub use loss::{
-    Losses, Moments, SsimGradient, image_gradient, image_gradient_tiles, image_loss, ssim_columns, ssim_rows,
-    ssim_tiles, sum_losses, wavelet,
+    Losses, Moments, SsimGradient, image_gradient, image_gradient_tiles, image_loss, masked_image_loss,
+    ssim_columns, ssim_rows, ssim_tiles, sum_losses, wavelet,
 };
 pub use masks::{mask_bits, mask_gradient, mask_loss, mask_rate};
 pub use optimizer::{AdamElement, adam};

@@ -62,6 +62,8 @@ const fn sets(sets: &'static [&'static [(&'static str, u32)]]) -> Definitions {
 const ONE: Definitions = sets(&[&[]]);
 const DEGREE: Definitions = sets(&[&[("DEGREE", 0)], &[("DEGREE", 1)], &[("DEGREE", 2)], &[("DEGREE", 3)]]);
 const RUN: Definitions = sets(&[&[("RUN", 1)], &[("RUN", 16)]]);
+/// For photographs of which all pixels count, and for those of which some do.
+const MASKED: Definitions = sets(&[&[], &[("MASKED", 1)]]);
 const OPAQUE: Definitions = sets(&[&[], &[("OPAQUE", 1)]]);
 const LANES: Definitions = sets(&[&[("LANES", 8)], &[("LANES", 16)], &[("LANES", 32)], &[("LANES", 64)]]);
 /// The modes of `dense`.
@@ -168,13 +170,13 @@ kernels! {
         "shade_depth": ONE,
     }
     "loss" {
-        "ssim_rows": ONE,
-        "ssim_columns": ONE,
-        "image_gradient": ONE,
-        "ssim_tiles": ONE,
-        "image_gradient_tiles": ONE,
+        "ssim_rows": MASKED,
+        "ssim_columns": MASKED,
+        "image_gradient": MASKED,
+        "ssim_tiles": MASKED,
+        "image_gradient_tiles": MASKED,
         "sum_losses": ONE.by_variant(),
-        "wavelet": ONE,
+        "wavelet": MASKED,
     }
     "masks" {
         "mask_loss": ONE.of_shape(),

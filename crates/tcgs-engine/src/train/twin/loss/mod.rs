@@ -5,6 +5,7 @@
 mod image_gradient;
 mod image_gradient_tiles;
 mod image_loss;
+mod masked_image_loss;
 mod similarity;
 mod ssim_columns;
 mod ssim_rows;
@@ -16,6 +17,7 @@ mod window;
 pub use image_gradient::image_gradient;
 pub use image_gradient_tiles::image_gradient_tiles;
 pub use image_loss::image_loss;
+pub use masked_image_loss::masked_image_loss;
 pub use similarity::{Moments, SsimGradient};
 pub use ssim_columns::ssim_columns;
 pub use ssim_rows::ssim_rows;
