@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use serde::Serialize;
 use tcgs::domain::{DatasetSummary, Intrinsics, NamedCamera};
 
-use super::{CliError, Report, exif::ExifFlag, wiring};
+use super::{CliError, Report, reading::ReadFlags, wiring};
 
 /// Arguments of `tcgs check`.
 #[derive(Debug, clap::Args)]
@@ -14,7 +14,7 @@ pub(crate) struct Args {
     dataset: PathBuf,
 
     #[command(flatten)]
-    exif: ExifFlag,
+    read: ReadFlags,
 
     /// Print one JSON document
     #[arg(long)]
@@ -33,7 +33,7 @@ struct Checked {
 
 /// Checks tables in full and images by their headers; an unusable dataset is the command's failure.
 pub(crate) fn run(args: &Args) -> Result<Report, CliError> {
-    let (summary, cameras) = wiring::survey_dataset(&args.dataset, args.exif.exif_orientation)?;
+    let (summary, cameras) = wiring::survey_dataset(&args.dataset, &args.read.options())?;
     let (smallest, largest) = sizes(&cameras);
     let checked = Checked { summary, smallest, largest };
     Ok(Report::new(text(&checked), &checked))

@@ -9,8 +9,8 @@ use tcgs::domain::{
 use tcgs_lab::lpips::Lpips;
 
 use super::{
-    CliError, Report, adapter::AdapterFlag, exif::ExifFlag, files, lpips::LpipsFlag, notice::notice, picture,
-    wiring,
+    CliError, Report, adapter::AdapterFlag, files, lpips::LpipsFlag, notice::notice, picture,
+    reading::ReadFlags, wiring,
 };
 
 /// Arguments of `tcgs eval`.
@@ -31,7 +31,7 @@ pub(crate) struct Args {
     per_view: bool,
 
     #[command(flatten)]
-    exif: ExifFlag,
+    read: ReadFlags,
 
     #[command(flatten)]
     lpips: LpipsFlag,
@@ -75,8 +75,7 @@ pub(crate) fn run(args: &Args) -> Result<Report, CliError> {
     let in_file = |problem: tcgs::domain::Problem| problem.in_file(file.display().to_string());
     let (decoded, decode_seconds) = timed(|| wiring::read(&bytes).map_err(in_file))?;
     let byte_counts = decoded.byte_counts.clone();
-    let (dataset, ingest_seconds) =
-        timed(|| wiring::load_oriented(dataset_path, args.exif.exif_orientation))?;
+    let (dataset, ingest_seconds) = timed(|| wiring::load_as(dataset_path, &args.read.options()))?;
 
     let same_dataset = decoded.dataset.map(|digest| digest == dataset.digest);
     if same_dataset == Some(false) {

@@ -18,8 +18,8 @@ use std::{
 use tcgs::{
     codec::{self, EncodeError, EncodeSettings, Encoded},
     domain::{
-        AnchorScene, Background, Dataset, DatasetSummary, ExifOrientation, Image, MemoryLimits, NamedCamera,
-        Problem, ProblemType, Scene, Scores, Split,
+        AnchorScene, Background, Dataset, DatasetSummary, Image, MemoryLimits, NamedCamera, Problem,
+        ProblemType, ReadOptions, Scene, Scores, Split,
     },
     eval::{InFlight, PerceptualDistance, Target, ViewTasks, band_errors, for_each_view, mean_scores_with},
     export::anchors,
@@ -39,7 +39,7 @@ pub(crate) use service::{ServeOptions, WorkerOptions, migrate, serve, worker};
 pub(crate) use upkeep::{back_up, fsck, restore};
 pub(crate) use viewer::{Advertised, ViewerOptions, viewer};
 
-use super::{CliError, files, memory::MemoryFlags};
+use super::{CliError, files, memory::MemoryFlags, reading::LENIENT};
 
 /// Default quantization step of features (the published one).
 pub(crate) const FEATURE_STEP: f32 = 1.0;
@@ -63,17 +63,11 @@ pub(crate) struct Inspection {
     pub(crate) text: String,
 }
 
-/// As [`load_oriented`], with EXIF orientations as the cameras have them.
-pub(crate) fn load_dataset(path: &Path) -> Result<Dataset, Problem> {
-    load_oriented(path, ExifOrientation::Auto)
-}
-
 /// Reads a dataset; photographs may use half of the available memory.
-pub(crate) fn load_oriented(path: &Path, orientation: ExifOrientation) -> Result<Dataset, Problem> {
+pub(crate) fn load_as(path: &Path, reading: &ReadOptions) -> Result<Dataset, Problem> {
     let host = MemoryFlags::default().limits(1).host;
     let load_budget = LoadBudget { memory_bytes: host / 2, ..LoadBudget::default() };
-    ingest::load_oriented(path, orientation, &load_budget, &|| true)
-        .map_err(|error| named(error.into(), path))
+    ingest::load_as(path, reading, &load_budget, &|| true).map_err(|error| named(error.into(), path))
 }
 
 /// Names the dataset in a problem that names no file in it.
@@ -90,21 +84,21 @@ pub(crate) fn pack(folder: &Path, archive: &mut std::fs::File) -> Result<(), Pro
 }
 
 /// Checks a dataset without reading its pixels.
-pub(crate) fn check_dataset(path: &Path) -> Result<(), Problem> {
-    ingest::check(path).map(drop).map_err(|problem| named(problem, path))
+pub(crate) fn check_dataset(path: &Path, read: &ReadOptions) -> Result<(), Problem> {
+    ingest::check_as(path, read).map(drop).map_err(|problem| named(problem, path))
 }
 
 /// What a dataset holds and its cameras. Pixels are read only where they decide about an EXIF orientation.
 pub(crate) fn survey_dataset(
     path: &Path,
-    orientation: ExifOrientation,
+    reading: &ReadOptions,
 ) -> Result<(DatasetSummary, Vec<NamedCamera>), Problem> {
-    ingest::check_oriented(path, orientation).map_err(|problem| named(problem, path))
+    ingest::check_as(path, reading).map_err(|problem| named(problem, path))
 }
 
 /// The cameras of a dataset, without reading its pixels.
 pub(crate) fn cameras(path: &Path) -> Result<Vec<NamedCamera>, Problem> {
-    ingest::cameras(path).map_err(|problem| named(problem, path))
+    Ok(survey_dataset(path, &LENIENT)?.1)
 }
 
 /// The mean error of held-out views in the high wavelet bands; `None` without such views.

@@ -28,6 +28,7 @@ pub mod orbit;
 pub mod photograph;
 pub mod problem;
 pub mod progress;
+pub mod read_options;
 pub mod scene_frame;
 pub mod scene_scale;
 pub mod series;
@@ -58,13 +59,14 @@ pub use metrics::{
 pub use metrics_table::{csv_cell, metrics_columns};
 pub use near_plane::NearPlane;
 pub use options::{
-    Background, Component, ExifOrientation, ModelKind, OptionError, Preset, TRAIN_OPTIONS, TrainOption,
-    TrainOptions, Until, Voxel,
+    Background, Component, ModelKind, OptionError, Preset, TRAIN_OPTIONS, TrainOption, TrainOptions, Until,
+    Voxel,
 };
 pub use orbit::Orbit;
 pub use photograph::{Photograph, PhotographError, PixelSource};
 pub use problem::{Problem, ProblemType};
 pub use progress::{CancelFlag, Phase, Progress};
+pub use read_options::{ExifOrientation, ReadOptions};
 pub use scene_frame::SceneFrame;
 pub use scene_scale::SceneScale;
 pub use series::{SERIES_POINTS, SeriesPoint, series_bucket, with_cumulative_seconds};

@@ -6,7 +6,10 @@ use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use thiserror::Error;
 
-use super::choice::named_choice;
+use super::{
+    choice::named_choice,
+    read_options::{ExifOrientation, ReadOptions},
+};
 
 /// Most iterations of a run.
 pub const MAX_ITERATIONS: u32 = 1_000_000;
@@ -33,18 +36,6 @@ pub struct OptionError {
 impl OptionError {
     fn new(option: &'static str, error: impl Into<String>) -> Self {
         Self { option, error: error.into() }
-    }
-}
-
-named_choice! {
-    /// Whether photographs are turned as the EXIF orientation in them says.
-    pub enum ExifOrientation {
-        /// Where the cameras are those of the turned pixels.
-        Auto = "auto",
-        /// Always.
-        Apply = "apply",
-        /// Never.
-        Ignore = "ignore",
     }
 }
 
@@ -201,6 +192,9 @@ pub struct TrainOptions {
     /// Whether photographs are turned as their EXIF orientation says; serialized only if it is stated.
     #[serde(skip_serializing_if = "is_auto")]
     pub exif_orientation: ExifOrientation,
+    /// Whether listed photographs that are missing are left out; serialized only if they are.
+    #[serde(skip_serializing_if = "is_false")]
+    pub skip_missing: bool,
 }
 
 /// Whether a number stays positive and normal in single precision.
@@ -216,6 +210,11 @@ fn is_full(until: &Until) -> bool {
 #[expect(clippy::trivially_copy_pass_by_ref, reason = "serde passes a reference")]
 fn is_auto(orientation: &ExifOrientation) -> bool {
     *orientation == ExifOrientation::Auto
+}
+
+#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde passes a reference")]
+fn is_false(value: &bool) -> bool {
+    !value
 }
 
 impl Default for TrainOptions {
@@ -234,6 +233,7 @@ impl Default for TrainOptions {
             max_bytes: None,
             rd_curve: Vec::new(),
             exif_orientation: ExifOrientation::Auto,
+            skip_missing: false,
         }
     }
 }
@@ -243,6 +243,12 @@ impl TrainOptions {
     #[must_use]
     pub fn has(&self, part: Component) -> bool {
         self.model == ModelKind::Tcgs && !self.without.contains(&part)
+    }
+
+    /// How the dataset is read.
+    #[must_use]
+    pub fn reading(&self) -> ReadOptions {
+        ReadOptions { exif_orientation: self.exif_orientation, skip_missing: self.skip_missing }
     }
 
     /// Whether the parts are those that such a run has by itself.
@@ -392,6 +398,8 @@ pub enum OptionKind {
     Positives(usize),
     /// One of these names, or a positive number.
     ChoiceOrPositive(&'static [&'static str]),
+    /// True or false.
+    Switch,
 }
 
 impl fmt::Display for OptionKind {
@@ -404,6 +412,7 @@ impl fmt::Display for OptionKind {
             OptionKind::Positive => f.write_str("a positive number"),
             OptionKind::Positives(max) => write!(f, "a list of at most {max} positive numbers"),
             OptionKind::ChoiceOrPositive(names) => write!(f, "{} or a positive number", names.join(", ")),
+            OptionKind::Switch => f.write_str("true or false"),
         }
     }
 }
@@ -420,7 +429,8 @@ impl OptionKind {
             (OptionKind::ChoiceOrPositive(names), Value::String(text)) => {
                 names.contains(&text.as_str()).then(|| text.clone())
             }
-            (OptionKind::Choice(_) | OptionKind::Choices(_), _) => None,
+            (OptionKind::Switch, Value::Bool(value)) => Some(value.to_string()),
+            (OptionKind::Choice(_) | OptionKind::Choices(_) | OptionKind::Switch, _) => None,
             (_, Value::Number(number)) => Some(number.to_string()),
             _ => None,
         };
@@ -494,7 +504,7 @@ impl TrainOption {
 
 /// Every option of a training run. The command line's flags, the query string and JSON are read by it, and a test holds `openapi.yaml`
 /// to it.
-pub static TRAIN_OPTIONS: [TrainOption; 14] = [
+pub static TRAIN_OPTIONS: [TrainOption; 15] = [
     TrainOption {
         name: "preset",
         kind: OptionKind::Choice(Preset::NAMES),
@@ -624,6 +634,13 @@ pub static TRAIN_OPTIONS: [TrainOption; 14] = [
         ),
         set: |options, text| text.parse().ok().map(|orientation| options.exif_orientation = orientation),
     },
+    TrainOption {
+        name: "skip_missing",
+        kind: OptionKind::Switch,
+        default: Some("false"),
+        help: Some("Leave listed photographs that are missing out, rather than refuse the dataset"),
+        set: |options, text| text.parse().ok().map(|skip| options.skip_missing = skip),
+    },
 ];
 
 /// As much of a value as a message repeats.
@@ -671,7 +688,8 @@ mod tests {
     fn every_field_has_its_row_with_its_default() {
         let with = Component::ALL.iter().copied().collect();
         let exif_orientation = ExifOrientation::Ignore;
-        let all = TrainOptions { with, until: Until::Converged, exif_orientation, ..TrainOptions::default() };
+        let stated = TrainOptions { exif_orientation, skip_missing: true, ..TrainOptions::default() };
+        let all = TrainOptions { with, until: Until::Converged, ..stated };
         let fields = serde_json::to_value(all).expect("JSON");
         let fields: BTreeSet<&str> =
             fields.as_object().expect("an object").keys().map(String::as_str).collect();

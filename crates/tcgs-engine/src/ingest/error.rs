@@ -524,19 +524,20 @@ fn photographs_alone(photographs: usize, unread: Option<&(&'static str, String)>
 }
 
 /// The first names, and how many there are besides.
-fn several(count: usize, first: &[String]) -> String {
+pub(super) fn several(count: usize, first: &[String]) -> String {
     let more = count.saturating_sub(first.len());
     let named = first.join(", ");
     if more == 0 { named } else { format!("{named} and {more} more") }
 }
 
 fn missing_images(count: usize, listed: usize, first: &[String], hint: Option<&MissingHint>) -> String {
-    let mut text = format!("{count} of the {listed} images listed here are missing: {}", first.join(", "));
-    if count > first.len() {
-        text.push_str(&format!(" and {} more", count - first.len()));
-    }
+    let mut text =
+        format!("{count} of the {listed} images listed here are missing: {}", several(count, first));
     if let Some(hint) = hint {
         text.push_str(&format!(" ({hint})"));
+    }
+    if count < listed {
+        text.push_str(". To go on without them, set skip_missing=true (--skip-missing)");
     }
     text
 }
@@ -572,7 +573,7 @@ mod tests {
         assert_eq!(
             missing_images(5, 9, &first, Some(&MissingHint::Case("A.png".to_owned()))),
             "5 of the 9 images listed here are missing: a.png, b.png and 3 more (there is 'A.png': upper \
-             and lower case must match)"
+             and lower case must match). To go on without them, set skip_missing=true (--skip-missing)"
         );
     }
 }

@@ -7,7 +7,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use super::{
-    error::{IngestError, IngestErrorKind, MissingHint, Result, shown},
+    error::{IngestError, IngestErrorKind, MissingHint, Result, several, shown},
     formats,
     images::is_image_name,
     masks::is_mask_folder,
@@ -16,7 +16,10 @@ use super::{
     source::NameEncoding,
     tree::Tree,
 };
-use crate::domain::dataset::{IMAGE_EXTENSIONS, without_extension};
+use crate::domain::{
+    ReadOptions,
+    dataset::{IMAGE_EXTENSIONS, without_extension},
+};
 
 /// How many missing images a message names.
 const MAX_MISSING_SHOWN: usize = 5;
@@ -59,7 +62,8 @@ pub(super) struct ImageSearch {
     listing: String,
     first_missing: Vec<String>,
     listed: usize,
-    missing: usize,
+    /// Stated paths of missing images, in their normal form.
+    missing: Vec<String>,
     hint: Option<MissingHint>,
     /// The first stated path that was found elsewhere, and the file.
     moved: Option<(String, String)>,
@@ -135,7 +139,7 @@ impl ImageFiles<'_> {
             aliases: BTreeMap::new(),
             listing: self.listing.to_owned(),
             first_missing: Vec::new(),
-            missing: 0,
+            missing: Vec::new(),
             hint: None,
             moved: None,
         };
@@ -151,11 +155,11 @@ impl ImageFiles<'_> {
                     search.moved.get_or_insert_with(|| ((*path).to_owned(), file.clone()));
                 }
                 None => {
-                    search.missing += 1;
+                    search.missing.push(normalized(portable).into_owned());
                     if search.first_missing.len() < MAX_MISSING_SHOWN {
                         search.first_missing.push(self.expected(*stated, portable));
                     }
-                    if search.missing == 1 {
+                    if search.missing.len() == 1 {
                         search.hint = self.hint(*stated, &self.expected(*stated, portable));
                     }
                 }
@@ -284,17 +288,31 @@ impl ImageSearch {
 
     /// Whether no listed image is there.
     pub(super) fn is_empty(&self) -> bool {
-        self.missing == self.listed
+        self.missing.len() == self.listed
     }
 
-    /// Ends the search with a note on images found elsewhere.
+    /// The stated paths of missing images, in their normal form.
+    pub(super) fn missing_paths(&self) -> impl Iterator<Item = &str> {
+        self.missing.iter().map(|path| safe_name(path).unwrap_or(path))
+    }
+
+    /// Ends the search with a note on images found elsewhere, and on missing ones that are left out.
     ///
     /// # Errors
-    /// [`IngestErrorKind::MissingImages`] if any was missing.
-    pub(super) fn finish(&self, notes: &mut Vec<String>) -> Result<(), IngestError> {
-        if self.missing > 0 {
+    /// [`IngestErrorKind::MissingImages`] if any was missing and is not left out, or all are.
+    pub(super) fn finish(&self, read: &ReadOptions, notes: &mut Vec<String>) -> Result<(), IngestError> {
+        let missing = self.missing.len();
+        if missing > 0 && read.skip_missing && !self.is_empty() {
+            let first: Vec<String> = self.first_missing.iter().map(|path| shown(path)).collect();
+            notes.push(format!(
+                "{missing} of the {} photographs of {} are missing and left out: {}",
+                self.listed,
+                self.listing,
+                several(missing, &first)
+            ));
+        } else if missing > 0 {
             return Err(IngestErrorKind::MissingImages {
-                count: self.missing,
+                count: missing,
                 listed: self.listed,
                 first: self.first_missing.clone(),
                 hint: self.hint.clone(),

@@ -78,9 +78,7 @@ use self::{
     survey::{Survey, SurveyOptions, SurveyedFrame, survey},
     tree::{Purpose, Tree},
 };
-use crate::domain::{
-    Bytes, Dataset, DatasetSummary, ExifOrientation, Frame, NamedCamera, Photograph, Problem,
-};
+use crate::domain::{Bytes, Dataset, DatasetSummary, Frame, NamedCamera, Photograph, Problem, ReadOptions};
 
 /// Reads a dataset from a directory or a zip file, whichever `path` is.
 ///
@@ -122,20 +120,21 @@ pub fn load_cancellable(
     budget: &LoadBudget,
     should_continue: &(dyn Fn() -> bool + Sync),
 ) -> Result<Dataset, IngestError> {
-    load_oriented(path, ExifOrientation::Auto, budget, should_continue)
+    load_as(path, &ReadOptions::default(), budget, should_continue)
 }
 
-/// As [`load_cancellable`], with EXIF orientations of the caller's choice.
+/// As [`load_cancellable`], with options of the caller's choice.
 ///
 /// # Errors
 /// As [`load_cancellable`].
-pub fn load_oriented(
+pub fn load_as(
     path: &Path,
-    orientation: ExifOrientation,
+    reading: &ReadOptions,
     budget: &LoadBudget,
     should_continue: &(dyn Fn() -> bool + Sync),
 ) -> Result<Dataset, IngestError> {
-    let options = SurveyOptions { orientation, decode_bytes: budget.memory_bytes, should_continue };
+    let options =
+        SurveyOptions { reading: reading.clone(), decode_bytes: budget.memory_bytes, should_continue };
     load_with(path, &Limits::default(), budget, &options)
 }
 
@@ -170,19 +169,16 @@ pub fn cameras(path: &Path) -> Result<Vec<NamedCamera>, Problem> {
 /// # Errors
 /// As [`load`].
 pub fn check_with_cameras(path: &Path) -> Result<(DatasetSummary, Vec<NamedCamera>), Problem> {
-    check_oriented(path, ExifOrientation::Auto)
+    check_as(path, &ReadOptions::default())
 }
 
-/// As [`check_with_cameras`], with EXIF orientations of the caller's choice.
+/// As [`check_with_cameras`], with options of the caller's choice.
 ///
 /// # Errors
 /// As [`load`].
-pub fn check_oriented(
-    path: &Path,
-    orientation: ExifOrientation,
-) -> Result<(DatasetSummary, Vec<NamedCamera>), Problem> {
+pub fn check_as(path: &Path, reading: &ReadOptions) -> Result<(DatasetSummary, Vec<NamedCamera>), Problem> {
     let decode_bytes = LoadBudget::default().memory_bytes;
-    let options = SurveyOptions { orientation, decode_bytes, should_continue: &|| true };
+    let options = SurveyOptions { reading: reading.clone(), decode_bytes, should_continue: &|| true };
     let survey = survey_for(Purpose::Load, path, &Limits::default(), &options)?;
     Ok((survey.summary(), survey.into_cameras()))
 }
@@ -295,7 +291,7 @@ impl Store {
 /// # Errors
 /// The first error, in the order of names.
 pub fn check_within(path: &Path, limits: &Limits) -> Result<DatasetSummary, IngestError> {
-    check_by(Deadline::NONE, path, limits)
+    check_by(Deadline::NONE, path, limits, &ReadOptions::default())
 }
 
 fn survey_for(
@@ -309,9 +305,13 @@ fn survey_for(
     Ok(survey(tree, limits, options).map_err(|error| faults.or(error))?.1)
 }
 
-fn check_by(deadline: Deadline, path: &Path, limits: &Limits) -> Result<DatasetSummary, IngestError> {
+fn check_by(
+    deadline: Deadline,
+    path: &Path,
+    limits: &Limits,
+    reading: &ReadOptions,
+) -> Result<DatasetSummary, IngestError> {
     // No pixel is decoded: the memory of a check has a bound that one photograph exceeds.
-    let options =
-        SurveyOptions { orientation: ExifOrientation::Auto, decode_bytes: 0, should_continue: &|| true };
+    let options = SurveyOptions { reading: reading.clone(), decode_bytes: 0, should_continue: &|| true };
     Ok(survey_for(Purpose::Check(deadline), path, limits, &options)?.summary())
 }

@@ -26,6 +26,8 @@ pub(super) struct Plan {
     pub(super) notes: Vec<String>,
     /// Frames that are not called as their table calls them, by the normal form of the stated path.
     pub(super) aliases: BTreeMap<String, String>,
+    /// Listed images that are missing, by the normal form of the stated path.
+    pub(super) missing: BTreeSet<String>,
 }
 
 /// How much a table has listed so far.
@@ -92,6 +94,7 @@ impl Plan {
             noted: BTreeSet::new(),
             notes: Vec::new(),
             aliases: BTreeMap::new(),
+            missing: BTreeSet::new(),
         }
     }
 

@@ -10,7 +10,7 @@ use super::{
     fixtures::{SIZE, Set, blender, colmap, file, nerfstudio, png},
     *,
 };
-use crate::domain::Layout;
+use crate::domain::{ExifOrientation, Layout};
 
 fn loaded(set: &Set) -> Dataset {
     load(&set.directory().path).expect("a dataset")
@@ -482,11 +482,15 @@ fn scene(size: (u32, u32), orientation: u8, is_turned: bool, has_colors: bool) -
         .with("sparse/0/points3D.txt", points)
 }
 
+fn reading(exif_orientation: ExifOrientation) -> ReadOptions {
+    ReadOptions { exif_orientation, ..ReadOptions::default() }
+}
+
 /// The pixels of the first frame, and the notes.
 fn first_pixels(set: &Set, orientation: ExifOrientation) -> (Vec<u8>, Vec<String>) {
-    let dataset = load_oriented(&set.directory().path, orientation, &LoadBudget::default(), &|| true)
+    let dataset = load_as(&set.directory().path, &reading(orientation), &LoadBudget::default(), &|| true)
         .expect("a dataset");
-    let summary = check_oriented(&set.directory().path, orientation).expect("a dataset").0;
+    let summary = check_as(&set.directory().path, &reading(orientation)).expect("a dataset").0;
     assert_eq!(summary.notes, dataset.notes);
     let frame = dataset.find_frame("0.png").expect("a frame");
     let image = frame.image.load().expect("in memory");
@@ -532,7 +536,7 @@ fn the_option_overrides_what_is_found() {
     assert_eq!(stored.chunks_exact(3).rev().collect::<Vec<_>>().concat(), upright);
     assert_eq!(notes, ["EXIF orientation not applied to 4 photographs: exif_orientation=ignore"]);
     let quarter = scene(WIDE, 6, true, true).directory();
-    let problem = load_oriented(&quarter.path, ExifOrientation::Ignore, &LoadBudget::default(), &|| true);
+    let problem = load_as(&quarter.path, &reading(ExifOrientation::Ignore), &LoadBudget::default(), &|| true);
     let detail = problem.expect_err("another size").to_string();
     assert!(detail.contains("exif_orientation"), "the option is named: {detail}");
 }

@@ -271,3 +271,33 @@ fn photographs_of_a_format_that_is_not_read_are_refused_by_name() {
     );
     refused(&Set::default().with("IMG_1.heic", heic), "Its HEIC images are not read; convert them");
 }
+
+#[test]
+fn missing_photographs_are_left_out_if_that_is_asked_for() {
+    let skip = ReadOptions { skip_missing: true, ..ReadOptions::default() };
+    let split = r#""test_filenames": ["images/3.png", "images/4.png"], "frames""#;
+    let lists = nerfstudio().edited("transforms.json", "\"frames\"", split);
+    for (set, listing) in
+        [(colmap(), "sparse/0/images.txt"), (nerfstudio(), "transforms.json"), (lists, "transforms.json")]
+    {
+        let set = set.without("images/4.png").without("images/5.png");
+        refused(
+            &set,
+            "2 of the 9 images listed here are missing: images/4.png, images/5.png. To go on without them, set skip_missing=true (--skip-missing)",
+        );
+        let folder = set.directory();
+        let dataset = load_as(&folder.path, &skip, &LoadBudget::default(), &|| true).expect("a dataset");
+        assert_eq!(dataset.frames.len(), 7);
+        let note = format!(
+            "2 of the 9 photographs of {listing} are missing and left out: images/4.png, images/5.png"
+        );
+        assert!(dataset.notes.contains(&note), "{:?}", dataset.notes);
+        let (summary, cameras) = check_as(&folder.path, &skip).expect("a dataset");
+        assert_eq!((summary.train + summary.test, cameras.len(), summary.notes), (7, 7, dataset.notes));
+    }
+    // Not a dataset without any.
+    let none = Set(colmap().0.into_iter().filter(|(name, _)| !name.starts_with("images/")).collect());
+    assert!(check_as(&none.directory().path, &skip).is_err());
+    let whole = colmap().directory();
+    assert_eq!(check_as(&whole.path, &skip), check_with_cameras(&whole.path));
+}

@@ -24,7 +24,7 @@ use super::{
     unused::{Taken, note_outside, note_unused},
 };
 use crate::domain::{
-    Camera, DatasetSummary, ExifOrientation, Image, Intrinsics, Layout, NamedCamera, PointCloud, Split,
+    Camera, DatasetSummary, Image, Intrinsics, Layout, NamedCamera, PointCloud, ReadOptions, Split,
 };
 
 /// Farthest camera from the origin that single precision can still work with.
@@ -41,8 +41,8 @@ const MAP_RADII: f64 = 20.0;
 
 /// What a survey depends on besides the dataset.
 pub(super) struct SurveyOptions<'a> {
-    /// What EXIF orientations do.
-    pub(super) orientation: ExifOrientation,
+    /// The caller's.
+    pub(super) reading: ReadOptions,
     /// The most memory for decoding an image whose orientation only pixels decide; none is decoded if it takes more.
     pub(super) decode_bytes: u64,
     /// Called before each image's header is read; once it returns false, the survey stops.
@@ -167,7 +167,7 @@ pub(super) fn survey(
 ) -> Result<(Tree, Survey), IngestError> {
     let root = roots::find(&tree)?;
     let outside = if root.is_empty() { Vec::new() } else { tree.enter(&root) };
-    let plan = plan(&tree)?;
+    let plan = plan(&tree, &options.reading)?;
     refuse_masks(&tree, &plan.listed.iter().map(String::as_str).collect())?;
     let Plan { layout, lenses, frames, points, listed, listings, noted, mut notes, .. } = plan;
     let taken = Taken { listed: &listed, noted: &noted, listings: &listings };
@@ -180,7 +180,9 @@ pub(super) fn survey(
     let evidence: Vec<Evidence> = frames
         .iter()
         .zip(&headers.read)
-        .map(|(frame, header)| evidence(header, &surveyor.lenses[frame.lens], options.orientation))
+        .map(|(frame, header)| {
+            evidence(header, &surveyor.lenses[frame.lens], options.reading.exif_orientation)
+        })
         .inspect(|evidence| counts.count(*evidence))
         .collect();
     let decision = if counts.has_others() {
@@ -375,15 +377,15 @@ fn distance_note(views: &[SurveyedFrame]) -> Option<String> {
 
 /// The plan by whichever layout the files are in. `transforms.json` states its own cameras, so it takes precedence over a reconstruction
 /// beside it; the Blender files also state the split, so they go first.
-fn plan(tree: &Tree) -> Result<Plan, IngestError> {
+fn plan(tree: &Tree, read: &ReadOptions) -> Result<Plan, IngestError> {
     if tree.has(transforms::TRAIN) {
-        return transforms::blender(tree);
+        return transforms::blender(tree, read);
     }
     if tree.has(transforms::TRANSFORMS) {
-        return transforms::nerfstudio(tree);
+        return transforms::nerfstudio(tree, read);
     }
     let choice = colmap::detect(tree).ok_or(IngestErrorKind::NoLayout { photographs: 0, unread: None })?;
-    colmap::plan(tree, choice)
+    colmap::plan(tree, choice, read)
 }
 
 /// Intrinsics of the image as it is trained on: at most [`Limits::TRAINING_WIDTH`] wide, the height rounded down.

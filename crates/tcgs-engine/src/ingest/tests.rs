@@ -653,7 +653,7 @@ fn limits_are_held_and_name_what_was_over_them() {
         ..wide
     };
     let options =
-        SurveyOptions { orientation: ExifOrientation::Auto, decode_bytes: 0, should_continue: &|| true };
+        SurveyOptions { reading: ReadOptions::default(), decode_bytes: 0, should_continue: &|| true };
     assert!(load_with(&archive.path, &exact, &LoadBudget::default(), &options).is_ok());
 }
 

@@ -22,7 +22,7 @@ use super::{
     ply,
     tree::Tree,
 };
-use crate::domain::{Convention, Layout, Pose, Split};
+use crate::domain::{Convention, Layout, Pose, ReadOptions, Split};
 
 /// The nerfstudio and instant-ngp file.
 pub(super) const TRANSFORMS: &str = "transforms.json";
@@ -51,13 +51,13 @@ const DENOMINATOR: [fn(&CameraFields) -> Option<f64>; 3] =
 ///
 /// # Errors
 /// Everything that is wrong with the files or the images they list.
-pub(super) fn blender(tree: &Tree) -> Result<Plan, IngestError> {
+pub(super) fn blender(tree: &Tree, read: &ReadOptions) -> Result<Plan, IngestError> {
     let mut plan = Plan::new(Layout::Blender);
     let train = Table::read(tree, TRAIN, &plan)?;
-    train.add_frames(&mut plan, Split::Train)?;
+    train.add_frames(&mut plan, Split::Train, read)?;
     let test = HeldOut::read(tree, TEST, &plan)?;
     if let HeldOut::Frames(test) = test {
-        test.add_frames(&mut plan, Split::Test)?;
+        test.add_frames(&mut plan, Split::Test, read)?;
         if tree.has(VALIDATION) {
             plan.notes.push(format!("{VALIDATION} is not used: {TEST} is what is held out"));
             plan.noted.insert(VALIDATION.to_owned());
@@ -65,7 +65,7 @@ pub(super) fn blender(tree: &Tree) -> Result<Plan, IngestError> {
     } else {
         match HeldOut::read(tree, VALIDATION, &plan)? {
             HeldOut::Frames(validation) => {
-                validation.add_frames(&mut plan, Split::Test)?;
+                validation.add_frames(&mut plan, Split::Test, read)?;
                 plan.notes.push(format!("{}: {VALIDATION} is held out instead", test.lack(TEST)));
             }
             validation => {
@@ -86,10 +86,10 @@ pub(super) fn blender(tree: &Tree) -> Result<Plan, IngestError> {
 ///
 /// # Errors
 /// Everything that is wrong with the file, the images it lists or its point cloud.
-pub(super) fn nerfstudio(tree: &Tree) -> Result<Plan, IngestError> {
+pub(super) fn nerfstudio(tree: &Tree, read: &ReadOptions) -> Result<Plan, IngestError> {
     let mut plan = Plan::new(Layout::Nerfstudio);
     let table = Table::read(tree, TRANSFORMS, &plan)?;
-    table.add_frames(&mut plan, Split::Train)?;
+    table.add_frames(&mut plan, Split::Train, read)?;
     let document = table.document;
     split(&mut plan, &document)?;
     add_points(&mut plan, tree, TRANSFORMS, &document)?;
@@ -139,7 +139,7 @@ impl Table {
         Ok(Self { file, document, images })
     }
 
-    fn add_frames(&self, plan: &mut Plan, split: Split) -> Result<(), IngestError> {
+    fn add_frames(&self, plan: &mut Plan, split: Split, read: &ReadOptions) -> Result<(), IngestError> {
         let Self { file, document, images } = self;
         let mut scales = Vec::new();
         for (index, (frame, found)) in document.frames.iter().zip(&images.found).enumerate() {
@@ -159,7 +159,8 @@ impl Table {
             ));
         }
         plan.aliases.extend(images.aliases.clone());
-        images.finish(&mut plan.notes)
+        plan.missing.extend(images.missing_paths().map(str::to_owned));
+        images.finish(read, &mut plan.notes)
     }
 }
 
@@ -222,6 +223,7 @@ fn split(plan: &mut Plan, document: &Document) -> Result<(), IngestError> {
             let found = safe_name(&path).ok().and_then(|name| known.get(&normalized(name)).copied());
             match found.or_else(|| plan.aliases.get(&*normalized(&path)).map(String::as_str)) {
                 Some(name) => listed.insert(name.to_owned()),
+                None if plan.missing.contains(&*normalized(safe_name(&path).unwrap_or(&path))) => false,
                 None => {
                     return Err(IngestErrorKind::UnknownFrame { list, name: stated.clone() }.at(TRANSFORMS));
                 }

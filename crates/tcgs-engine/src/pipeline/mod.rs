@@ -44,8 +44,8 @@ use self::{
 };
 use crate::{
     domain::{
-        CancelFlag, Dataset, ExifOrientation, FailurePoint, MemoryBudget, MemoryLimits, NamedCamera, Phase,
-        Progress, TrainOptions, failure_point::reach,
+        CancelFlag, Dataset, FailurePoint, MemoryBudget, MemoryLimits, NamedCamera, Phase, Progress,
+        ReadOptions, TrainOptions, failure_point::reach,
     },
     eval::PerceptualDistance,
     gpu::{AdapterChoice, Device, DeviceSettings, GpuError, Profile, RecordingProfile},
@@ -168,9 +168,8 @@ impl RunJob for Pipeline {
         let budget = self.budget(&device);
         // Training needs the other half.
         let load_budget = LoadBudget { memory_bytes: budget.host / 2, spill_dir: self.spill_dir.clone() };
-        let orientation = options.exif_orientation;
-        let dataset =
-            load(dataset, orientation, &load_budget, &mut || report(Phase::Ingest, &start), cancel)?;
+        let reading = options.reading();
+        let dataset = load(dataset, &reading, &load_budget, &mut || report(Phase::Ingest, &start), cancel)?;
         for note in &dataset.notes {
             tracing::info!("dataset: {note}");
         }
@@ -213,7 +212,7 @@ impl RunJob for Pipeline {
 /// Reads the dataset on a thread of its own, so that this one can report each image; stops soon after `cancel`.
 fn load(
     dataset: &Path,
-    orientation: ExifOrientation,
+    reading: &ReadOptions,
     load_budget: &LoadBudget,
     heartbeat: &mut dyn FnMut(),
     cancel: &CancelFlag,
@@ -228,7 +227,7 @@ fn load(
                 let _ = send.send(());
                 !cancel.is_cancelled()
             };
-            ingest::load_oriented(dataset, orientation, load_budget, &go_on)
+            ingest::load_as(dataset, reading, load_budget, &go_on)
         });
         for () in images {
             reach(FailurePoint::Ingest);

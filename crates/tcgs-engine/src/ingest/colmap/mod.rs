@@ -23,7 +23,7 @@ use super::{
     table_reader::TableReader,
     tree::Tree,
 };
-use crate::domain::{CameraError, Layout, Pose, Split};
+use crate::domain::{CameraError, Layout, Pose, ReadOptions, Split};
 
 /// Where the photographs lie.
 const IMAGES: &str = "images/";
@@ -43,7 +43,7 @@ struct ImageRecord {
 ///
 /// # Errors
 /// Everything that is wrong with the tables or the images they list.
-pub(super) fn plan(tree: &Tree, choice: Choice) -> Result<Plan, IngestError> {
+pub(super) fn plan(tree: &Tree, choice: Choice, read: &ReadOptions) -> Result<Plan, IngestError> {
     let Choice { model, unused, note } = choice;
     let [cameras_file, images_file] = ["cameras", "images"].map(|name| model.table(name));
     let missing = |file: &str| {
@@ -91,7 +91,7 @@ pub(super) fn plan(tree: &Tree, choice: Choice) -> Result<Plan, IngestError> {
             plan.add(PlannedFrame { name, file, lens, pose, split: Split::Train }, &images_file);
         }
     }
-    search.finish(&mut plan.notes)?;
+    search.finish(read, &mut plan.notes)?;
     plan.hold_out();
     plan.notes.extend(note);
     plan.noted = unused;
