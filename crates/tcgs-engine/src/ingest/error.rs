@@ -214,11 +214,21 @@ pub enum IngestErrorKind {
     },
     /// A camera model without a pinhole equivalent here.
     #[error(
-        "{place}: camera model {model} is not supported; supported are SIMPLE_PINHOLE, PINHOLE, \
-         SIMPLE_RADIAL, RADIAL, OPENCV, and FULL_OPENCV without k4, k5 and k6. Undistort the images first \
-         (`colmap image_undistorter`)"
+        "{place}: camera model {model} is not supported; supported are those of COLMAP 4.2 and nerfstudio that show less than \
+         a half-space. Undistort the images first (`colmap image_undistorter`)"
     )]
     CameraModel {
+        /// Where in the file.
+        place: String,
+        /// The model as the file names it.
+        model: String,
+    },
+    /// A camera model of panoramas, or without a center.
+    #[error(
+        "{place}: {model} pictures show more than a perspective one can, which is what is trained on. Make perspective pictures \
+         of them first: COLMAP's `python/examples/panorama_sfm.py`, or `ns-process-data images --camera-type equirectangular`"
+    )]
+    Panorama {
         /// Where in the file.
         place: String,
         /// The model as the file names it.
@@ -459,6 +469,7 @@ impl IngestErrorKind {
             | Self::TrailingBytes(_)
             | Self::Record { .. } => ProblemType::TableRejected,
             Self::CameraModel { .. }
+            | Self::Panorama { .. }
             | Self::Camera { .. }
             | Self::Implausible { .. }
             | Self::NonFiniteDistortion { .. }

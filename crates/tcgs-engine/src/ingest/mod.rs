@@ -3,7 +3,7 @@
 //! In order: `tree` lists files by safe names (from `folder`, or `archive` behind `end_record`) within `limits`; `roots` finds the
 //! dataset's folder; `transforms` (with
 //! `bounded_json` and `fields`) or `colmap` reads the tables into a `plan` of frames, lenses and poses, whose files `image_files` finds; `survey` reads image headers and
-//! computes the final cameras; `images`, `orientation`, `distortion` and `sampling` produce the pixels. `masks` and `unused` see to it that nothing in a dataset is
+//! computes the final cameras; `images`, `orientation`, `distortion` (with `projection` and `valid_region`) and `sampling` produce the pixels. `masks` and `unused` see to it that nothing in a dataset is
 //! left out in silence.
 //!
 //! Memory is bounded by a [`LoadBudget`]: as many photographs are decoded in parallel as it allows, they stay in memory as long as they
@@ -39,6 +39,7 @@ mod photographs;
 mod plan;
 mod ply;
 mod points;
+mod projection;
 mod roots;
 mod sampling;
 mod semaphore;
@@ -49,6 +50,7 @@ mod table_reader;
 mod transforms;
 mod tree;
 mod unused;
+mod valid_region;
 
 #[cfg(test)]
 mod fixtures;
@@ -215,13 +217,8 @@ fn load_tree(
                 return Err(IngestErrorKind::Stopped.into());
             }
             let image = store.photograph(&tree, &view, limits)?;
-            Ok(Frame {
-                name: view.frame.name,
-                camera: view.camera,
-                image,
-                mask: None,
-                split: view.frame.split,
-            })
+            let mask = view.valid_pixels();
+            Ok(Frame { name: view.frame.name, camera: view.camera, image, mask, split: view.frame.split })
         })
         .collect();
     Ok(Dataset {

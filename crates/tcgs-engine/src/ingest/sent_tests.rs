@@ -301,3 +301,54 @@ fn missing_photographs_are_left_out_if_that_is_asked_for() {
     let whole = colmap().directory();
     assert_eq!(check_as(&whole.path, &skip), check_with_cameras(&whole.path));
 }
+
+#[test]
+fn fisheye_photographs_are_undistorted() {
+    let ns = |from: &str, to: &str| nerfstudio().edited("transforms.json", from, to);
+    let model = |model: &str| ns("\"OPENCV\"", model);
+    let prisms = r#""FISHEYE624", "distortion_params": [0.1,0,0,0,0,0,0,0,0,0,0,0]"#;
+    let colmap = |model: &str| colmap().edited("sparse/0/cameras.txt", "PINHOLE 8 6 9 9.5 4.25 3", model);
+    for set in [
+        model("\"OPENCV_FISHEYE\""),
+        model("\"OPENCV\", \"is_fisheye\": true"),
+        ns("\"camera_model\": \"OPENCV\"", "\"is_fisheye\": true"),
+        model(prisms),
+        colmap("OPENCV_FISHEYE 8 6 9 9.5 4.25 3 0.1 0 0 0"),
+        colmap("THIN_PRISM_FISHEYE 8 6 9 9.5 4.25 3 0.1 0 0 0 0 0 0 0"),
+        colmap("FISHEYE 8 6 9 9.5 4.25 3"),
+        colmap("EUCM 8 6 9 9.5 4.25 3 0.5 1"),
+    ] {
+        let dataset = loaded(&set);
+        assert!(
+            dataset.notes.iter().any(|note| note.starts_with("images undistorted: 9")),
+            "{:?}",
+            dataset.notes
+        );
+        assert_eq!(dataset.frames[1].camera.intrinsics.fx, 9.0, "the stated focal length");
+    }
+    refused(&model("\"OPENCV_FISHEYE\", \"k2\": -1e6"), "less than half");
+}
+
+#[test]
+fn borders_that_a_lens_did_not_see_are_masked_where_a_crop_would_lose_much() {
+    let set = colmap().edited(
+        "sparse/0/cameras.txt",
+        "PINHOLE 8 6 9 9.5 4.25 3",
+        "FULL_OPENCV 8 6 9 9.5 4.25 3 0.9 0 0 0 0 0 0 1e-9",
+    );
+    let dataset = loaded(&set);
+    for frame in &dataset.frames {
+        let mask = frame.mask.as_ref().expect("a mask");
+        assert_eq!((mask.width(), mask.height(), frame.image.width()), (8, 6, 8));
+        assert!(!mask.counts(0) && mask.counts(27) && mask.counted() > 12, "{mask:?}");
+    }
+    assert!(
+        dataset.notes.contains(
+            &"images with borders that the lens did not see: 9; these are neither learnt nor measured"
+                .to_owned()
+        ),
+        "{:?}",
+        dataset.notes
+    );
+    assert!(loaded(&colmap()).frames.iter().all(|frame| frame.mask.is_none()));
+}

@@ -3,7 +3,10 @@
 //! Pixels are decoded only to decide about EXIF orientations that sizes do not decide ([`super::orientation`]), and only within
 //! [`SurveyOptions::decode_bytes`].
 
-use std::collections::BTreeMap;
+use std::{
+    collections::BTreeMap,
+    sync::{Arc, OnceLock},
+};
 
 use glam::DVec3;
 use image::metadata::Orientation;
@@ -22,9 +25,10 @@ use super::{
     roots, transforms,
     tree::Tree,
     unused::{Taken, note_outside, note_unused},
+    valid_region::{self, Kept},
 };
 use crate::domain::{
-    Camera, DatasetSummary, Image, Intrinsics, Layout, NamedCamera, PointCloud, ReadOptions, Split,
+    Camera, DatasetSummary, Image, Intrinsics, Layout, NamedCamera, PixelMask, PointCloud, ReadOptions, Split,
 };
 
 /// Farthest camera from the origin that single precision can still work with.
@@ -89,6 +93,12 @@ impl Survey {
     }
 }
 
+/// The pixels that a lens saw, computed once they are wanted.
+type ValidPixels = Arc<OnceLock<PixelMask>>;
+
+/// A lens by its index, and the width and height of an image of it.
+type LensAndSize = (usize, (u32, u32));
+
 /// One frame and how its image is processed.
 pub(super) struct SurveyedFrame {
     pub(super) frame: PlannedFrame,
@@ -102,6 +112,8 @@ pub(super) struct SurveyedFrame {
     alpha: bool,
     distortion: Distortion,
     crop: Crop,
+    /// The pixels that the lens saw, computed once for all photographs of a camera and size; `None` if it saw all.
+    valid: Option<ValidPixels>,
 }
 
 /// Bytes a pixel of the stored image that decoding takes at most: 16-bit RGBA beside its 8-bit copy, or 8-bit RGB beside what a
@@ -129,6 +141,13 @@ impl SurveyedFrame {
                 + (FILTER_BYTES + channels) * pixels(to.width, to.height);
         }
         resampling.max(DECODE_BYTES * pixels(from.width, from.height))
+    }
+
+    /// The pixels of the finished image that the lens saw; `None` if it saw all.
+    pub(super) fn valid_pixels(&self) -> Option<PixelMask> {
+        let size = (self.camera.intrinsics.width, self.camera.intrinsics.height);
+        let compute = || valid_region::valid_pixels(&self.distortion, &self.stored, size);
+        self.valid.as_ref().map(|valid| valid.get_or_init(compute).clone())
     }
 
     /// The finished image from the stored and turned one.
@@ -174,7 +193,7 @@ pub(super) fn survey(
     note_outside(&root, &outside, &mut notes);
     note_unused(&tree, &taken, &mut notes);
 
-    let mut surveyor = Surveyor { lenses, crops: BTreeMap::new() };
+    let mut surveyor = Surveyor { lenses, kept: BTreeMap::new() };
     let headers = Headers::read(&tree, &frames, limits, options);
     let mut counts = EvidenceCounts::default();
     let evidence: Vec<Evidence> = frames
@@ -204,6 +223,7 @@ pub(super) fn survey(
             Evidence::None => decision.map_or(Reading::Stored, Decision::reading),
         };
         let stated = surveyor.lenses[frame.lens].size;
+        tree.check_time().map_err(|error| error.at(&frame.file))?;
         let view = surveyor.view(frame, header, reading)?;
         let finished = view.camera.intrinsics;
         changes.count(stated, &view);
@@ -249,8 +269,8 @@ impl Headers {
 /// Computes the final camera of each frame.
 struct Surveyor {
     lenses: Vec<Lens>,
-    /// What is covered of images by lens and size.
-    crops: BTreeMap<(usize, (u32, u32)), Crop>,
+    /// What is kept of images by lens and size, and the valid pixels where there are others.
+    kept: BTreeMap<LensAndSize, (Crop, Option<ValidPixels>)>,
 }
 
 impl Surveyor {
@@ -268,12 +288,14 @@ impl Surveyor {
         let lens = &self.lenses[frame.lens];
         let (file, distortion) = (frame.file.clone(), lens.distortion);
         let stored = lens.intrinsics(size).map_err(|error| error.at(&file))?;
-        let crop = match self.crops.get(&(frame.lens, size)) {
-            Some(crop) => *crop,
+        let (crop, valid) = match self.kept.get(&(frame.lens, size)) {
+            Some(kept) => kept.clone(),
             None => {
-                let crop = distortion.covered(&stored).map_err(|error| error.at(&file))?;
-                self.crops.insert((frame.lens, size), crop);
-                crop
+                let Kept { crop, is_masked } =
+                    valid_region::kept(&distortion, &stored).map_err(|error| error.at(&file))?;
+                let kept = (crop, is_masked.then(Arc::default));
+                self.kept.insert((frame.lens, size), kept.clone());
+                kept
             }
         };
         let finished = for_training(crop.of(stored));
@@ -290,7 +312,7 @@ impl Surveyor {
             .at(file));
         }
         let (turn, alpha) = (reading.turn(header), header.alpha);
-        Ok(SurveyedFrame { frame, camera, turn, stored, alpha, distortion, crop })
+        Ok(SurveyedFrame { frame, camera, turn, stored, alpha, distortion, crop, valid })
     }
 }
 
@@ -403,6 +425,9 @@ fn for_training(k: Intrinsics) -> Intrinsics {
 struct Changes {
     smaller_than_stated: usize,
     undistorted: usize,
+    /// The largest angle from the axis, in degrees, of the pictures of lenses that may be wide.
+    angle: Option<f64>,
+    masked: usize,
     cropped: Option<((u32, u32), (u32, u32))>,
     downscaled: usize,
 }
@@ -413,6 +438,11 @@ impl Changes {
         let (stored, crop) = (&view.stored, (view.crop.width, view.crop.height));
         self.smaller_than_stated += usize::from(stated.is_some_and(|stated| stated != size(stored)));
         self.undistorted += usize::from(!view.distortion.is_none());
+        self.masked += usize::from(view.valid.is_some());
+        if matches!(view.distortion, Distortion::Projection(_)) {
+            let angle = corner_angle(&view.camera.intrinsics);
+            self.angle = Some(self.angle.map_or(angle, |largest| largest.max(angle)));
+        }
         if self.cropped.is_none() && size(stored) != crop {
             self.cropped = Some((size(stored), crop));
         }
@@ -430,7 +460,16 @@ impl Changes {
             let crop = self.cropped.map_or_else(String::new, |((w, h), (to_w, to_h))| {
                 format!(", cropped to what the lens saw ({w}x{h} to {to_w}x{to_h})")
             });
-            notes.push(format!("images undistorted: {}{crop}", self.undistorted));
+            let angle = self.angle.map_or_else(String::new, |angle| {
+                format!("; at the stated focal length, the corners are {angle:.0} degrees from the axis")
+            });
+            notes.push(format!("images undistorted: {}{crop}{angle}", self.undistorted));
+        }
+        if self.masked > 0 {
+            notes.push(format!(
+                "images with borders that the lens did not see: {}; these are neither learnt nor measured",
+                self.masked
+            ));
         }
         if self.downscaled > 0 {
             notes.push(format!(
@@ -440,6 +479,12 @@ impl Changes {
             ));
         }
     }
+}
+
+/// The angle of the farthest corner from the axis, in degrees.
+fn corner_angle(k: &Intrinsics) -> f64 {
+    let far = |center: f64, side: u32, focal: f64| center.abs().max((f64::from(side) - center).abs()) / focal;
+    far(k.cx, k.width, k.fx).hypot(far(k.cy, k.height, k.fy)).atan().to_degrees()
 }
 
 #[cfg(test)]

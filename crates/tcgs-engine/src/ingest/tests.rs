@@ -287,8 +287,16 @@ fn faults_of_transforms_files_are_refused_by_file_and_cause() {
         ("9.0", "1e999", "number out of range"),
         ("9.0", "\"9\"", "invalid type"),
         ("\"fl_x\": 9.0, ", "", "neither fl_x nor camera_angle_x"),
-        ("\"OPENCV\"", "\"OPENCV_FISHEYE\"", "camera model OPENCV_FISHEYE is not supported"),
-        ("\"OPENCV\"", "\"PINHOLE\", \"is_fisheye\": true", "fisheye"),
+        ("\"OPENCV\"", "\"ORTHOPHOTO\"", "camera model ORTHOPHOTO is not supported"),
+        (
+            "\"OPENCV\"",
+            "\"EQUIRECTANGULAR\"",
+            "/frames/0: EQUIRECTANGULAR pictures show more than a perspective one",
+        ),
+        ("\"OPENCV\"", "\"VR180_L\"", "ns-process-data images --camera-type equirectangular"),
+        ("\"OPENCV\"", "\"FISHEYE624\"", "/frames/0: FISHEYE624 needs the 12 numbers of distortion_params"),
+        ("\"OPENCV\"", "\"FISHEYE624\", \"distortion_params\": [0, 0]", "needs the 12 numbers"),
+        ("\"OPENCV\"", "\"OPENCV_FISHEYE\", \"k4\": -1e9", "less than half"),
         ("\"w\": 8", "\"w\": 8.5", "w is 8.5"),
         ("\"w\": 8", "\"w\": -8", "w is -8"),
         ("\"w\": 8, ", "", "only one of w and h"),
@@ -336,17 +344,24 @@ fn faults_of_transforms_files_are_refused_by_file_and_cause() {
 #[test]
 fn faults_of_colmap_tables_are_refused_by_file_and_cause() {
     for (table, from, to, words) in [
+        ("cameras.txt", "PINHOLE", "SPHERE", "camera 1: camera model SPHERE is not supported"),
         (
             "cameras.txt",
-            "PINHOLE",
-            "OPENCV_FISHEYE",
-            "camera 1: camera model OPENCV_FISHEYE is not supported",
+            "PINHOLE 8 6 9 9.5 4.25 3",
+            "EQUIRECTANGULAR 8 6 8 6",
+            "camera 1: EQUIRECTANGULAR pictures show",
         ),
         (
             "cameras.txt",
             "PINHOLE 8 6 9 9.5 4.25 3",
-            "FULL_OPENCV 8 6 9 9 4 3 0 0 0 0 0 .1 0 0",
-            "with k4, k5 or k6",
+            "OPENCV_FISHEYE 8 6 9 9.5 4.25 3 nan 0 0 0",
+            "camera 1: a distortion coefficient is not finite",
+        ),
+        (
+            "cameras.txt",
+            "PINHOLE 8 6 9 9.5 4.25 3",
+            "EUCM 8 6 9 9.5 4.25 3 0.5 inf",
+            "camera 1: a distortion coefficient is not finite",
         ),
         ("cameras.txt", "8 6 9 9.5", "8 6 0 9.5", "camera 1: the focal length is 0"),
         ("cameras.txt", "8 6 9 9.5", "8 6 nan 9.5", "camera 1: the focal length is NaN"),

@@ -12,14 +12,15 @@ use glam::{DMat4, DVec4};
 
 use super::{
     bounded_json,
-    distortion::Distortion,
+    distortion::{Distortion, Polynomial},
     error::{IngestError, IngestErrorKind, Result},
-    fields::{CameraFields, Document, FrameFields, Matrix, Names},
+    fields::{CameraFields, Document, FrameFields, Matrix, Names, Parameters},
     image_files::{FoundImage, ImageFiles, ImageSearch},
     lens::{Focal, Lens},
     names::{normalized, portable, safe_name},
     plan::{Plan, PlannedFrame},
     ply,
+    projection::Projection,
     tree::Tree,
 };
 use crate::domain::{Convention, Layout, Pose, ReadOptions, Split};
@@ -39,13 +40,12 @@ const WHOLE: f64 = 1e-6;
 /// Scales of a rotation that are taken out of it.
 const SCALES: std::ops::RangeInclusive<f64> = 1e-6..=1e6;
 
-/// Camera models whose distortion is the polynomial that [`Distortion`] holds.
+/// Camera models whose distortion is a polynomial of k1 to k4 and tangential.
 const POLYNOMIAL_MODELS: [&str; 5] = ["OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL"];
 
-/// The model whose radial polynomial is divided by another one, of k4, k5 and k6.
-const FULL_OPENCV: &str = "FULL_OPENCV";
-const DENOMINATOR: [fn(&CameraFields) -> Option<f64>; 3] =
-    [|fields| fields.k4, |fields| fields.k5, |fields| fields.k6];
+/// Camera models of pictures that no perspective one can show as a whole.
+const PANORAMAS: [&str; 5] =
+    ["EQUIRECTANGULAR", "OMNIDIRECTIONALSTEREO_L", "OMNIDIRECTIONALSTEREO_R", "VR180_L", "VR180_R"];
 
 /// Plans a Blender set: `transforms_train.json` is trained on and `transforms_test.json` held out.
 ///
@@ -278,24 +278,7 @@ fn pose(rows: Matrix, place: &str) -> Result<(Pose, Option<f64>)> {
 
 fn lens(frame: &CameraFields, shared: &CameraFields, place: &str) -> Result<Lens> {
     let value = |of: fn(&CameraFields) -> Option<f64>| of(frame).or(of(shared));
-    let coefficient = |of| value(of).unwrap_or(0.0);
-    if let Some(model) = frame.camera_model.as_ref().or(shared.camera_model.as_ref()) {
-        let model = match model.as_str() {
-            known if POLYNOMIAL_MODELS.contains(&known) => None,
-            FULL_OPENCV if DENOMINATOR.iter().all(|k| coefficient(*k) == 0.0) => None,
-            FULL_OPENCV => Some(format!("{FULL_OPENCV} with k4, k5 or k6")),
-            other => Some(other.to_owned()),
-        };
-        if let Some(model) = model {
-            return Err(IngestErrorKind::CameraModel { place: place.to_owned(), model });
-        }
-    }
-    if frame.is_fisheye.or(shared.is_fisheye) == Some(true) {
-        return Err(IngestErrorKind::CameraModel {
-            place: place.to_owned(),
-            model: "fisheye (is_fisheye)".to_owned(),
-        });
-    }
+    let distortion = distortion(frame, shared, place)?;
     // A frame that states any focal length states all of it: half of it from elsewhere would be another camera.
     let owner = if frame.fl_x.or(frame.camera_angle_x).is_some() { frame } else { shared };
     let focal = match (owner.fl_x, owner.camera_angle_x) {
@@ -313,25 +296,51 @@ fn lens(frame: &CameraFields, shared: &CameraFields, place: &str) -> Result<Lens
         (None, None) => None,
         _ => return Err(field(place.to_owned(), "only one of w and h is stated".to_owned())),
     };
-    let lens = Lens {
-        focal,
-        principal: [value(|fields| fields.cx), value(|fields| fields.cy)],
-        size,
-        distortion: Distortion {
-            radial: [
-                coefficient(|fields| fields.k1),
-                coefficient(|fields| fields.k2),
-                coefficient(|fields| fields.k3),
-                coefficient(|fields| fields.k4),
-            ],
-            tangential: [coefficient(|fields| fields.p1), coefficient(|fields| fields.p2)],
-        },
-    };
+    let lens =
+        Lens { focal, principal: [value(|fields| fields.cx), value(|fields| fields.cy)], size, distortion };
     if !lens.distortion.is_finite() {
         return Err(IngestErrorKind::NonFiniteDistortion { place: place.to_owned() });
     }
     lens.check().map_err(|source| IngestErrorKind::Camera { place: place.to_owned(), source })?;
     Ok(lens)
+}
+
+/// The distortion that a camera model's fields state.
+fn distortion(frame: &CameraFields, shared: &CameraFields, place: &str) -> Result<Distortion> {
+    let value = |of: fn(&CameraFields) -> Option<f64>| of(frame).or(of(shared)).unwrap_or(0.0);
+    let [k1, k2, k3] = [value(|fields| fields.k1), value(|fields| fields.k2), value(|fields| fields.k3)];
+    let [k4, k5, k6] = [value(|fields| fields.k4), value(|fields| fields.k5), value(|fields| fields.k6)];
+    let tangential = [value(|fields| fields.p1), value(|fields| fields.p2)];
+    let fisheye = Distortion::Projection(Projection::Fisheye { radial: [k1, k2, k3, k4] });
+    let is_fisheye = frame.is_fisheye.or(shared.is_fisheye) == Some(true);
+    let model = frame.camera_model.as_deref().or(shared.camera_model.as_deref());
+    match model {
+        Some(model) if PANORAMAS.contains(&model) => {
+            Err(IngestErrorKind::Panorama { place: place.to_owned(), model: model.to_owned() })
+        }
+        Some("OPENCV_FISHEYE") => Ok(fisheye),
+        Some("FISHEYE624") => match frame.distortion_params.or(shared.distortion_params) {
+            Some(Parameters(Some([k0, k1, k2, k3, k4, k5, p0, p1, prism @ ..]))) => {
+                let (radial, tangential) = ([k0, k1, k2, k3, k4, k5], [p0, p1]);
+                Ok(Distortion::Projection(Projection::RadTanThinPrismFisheye { radial, tangential, prism }))
+            }
+            _ => {
+                let message = "FISHEYE624 needs the 12 numbers of distortion_params".to_owned();
+                Err(field(place.to_owned(), message))
+            }
+        },
+        None | Some(_) if is_fisheye => Ok(fisheye),
+        Some("FULL_OPENCV") if [k4, k5, k6] != [0.0; 3] => {
+            Ok(Distortion::Projection(Projection::Rational { radial: [k1, k2, k3, k4, k5, k6], tangential }))
+        }
+        None | Some("FULL_OPENCV") => {
+            Ok(Distortion::Polynomial(Polynomial { radial: [k1, k2, k3, k4], tangential }))
+        }
+        Some(model) if POLYNOMIAL_MODELS.contains(&model) => {
+            Ok(Distortion::Polynomial(Polynomial { radial: [k1, k2, k3, k4], tangential }))
+        }
+        Some(model) => Err(IngestErrorKind::CameraModel { place: place.to_owned(), model: model.to_owned() }),
+    }
 }
 
 /// A side in pixels. Some converters write it as `1920.0`, or as the product of a side and a scale, such as `503.99999999999994`.
