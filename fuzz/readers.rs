@@ -62,6 +62,49 @@ pub(super) fn colmap_text(data: &[u8]) {
     colmap("txt", [(); 3].map(|()| parts.next().unwrap_or_default()));
 }
 
+/// `data` as a camera: a byte for COLMAP's number of the model, then its parameters. As binary tables, and as fields of a transforms file.
+pub(super) fn camera(data: &[u8]) {
+    let mut bytes = Bytes(data);
+    let model = u32::from(bytes.u8() % 20);
+    let numbers: Vec<f64> = (0..16).map(|_| bytes.f64()).collect();
+    // A model takes as many parameters as it has; what is left of the table is refused, so every count is tried.
+    for count in [3, 4, 5, 6, 8, 12, 16] {
+        let mut cameras = 1_u64.to_le_bytes().to_vec();
+        for part in
+            [&1_u32.to_le_bytes()[..], &model.to_le_bytes(), &8_u64.to_le_bytes(), &6_u64.to_le_bytes()]
+        {
+            cameras.extend(part);
+        }
+        cameras.extend(numbers[..count].iter().flat_map(|number| number.to_le_bytes()));
+        let mut images = 2_u64.to_le_bytes().to_vec();
+        for (id, name) in [(1_u32, b"0.png\0"), (2, b"1.png\0")] {
+            images.extend(id.to_le_bytes());
+            let pose = [1.0, 0.0, 0.0, 0.0, 0.0, 0.0, f64::from(id)];
+            images.extend(pose.iter().flat_map(|number: &f64| number.to_le_bytes()));
+            images.extend(1_u32.to_le_bytes());
+            images.extend(name);
+            images.extend(0_u64.to_le_bytes());
+        }
+        colmap("bin", [&cameras, &images, &0_u64.to_le_bytes()]);
+    }
+    let finite = |number: &f64| if number.is_finite() { format!("{number:e}") } else { "0".to_owned() };
+    let numbers: Vec<String> = numbers.iter().map(finite).collect();
+    let name = ["OPENCV_FISHEYE", "FISHEYE624", "FULL_OPENCV", "OPENCV"][model as usize % 4];
+    let [k1, k2, p1, p2, k3, k4, k5, k6] = [4, 5, 6, 7, 8, 9, 10, 11].map(|index| &numbers[index]);
+    let pose = "[[1,0,0,0],[0,1,0,0],[0,0,1,4],[0,0,0,1]]";
+    let table = format!(
+        r#"{{"camera_model": "{name}", "fl_x": {}, "fl_y": {}, "cx": {}, "cy": {}, "k1": {k1}, "k2": {k2}, "k3": {k3}, "k4": {k4},
+            "k5": {k5}, "k6": {k6}, "p1": {p1}, "p2": {p2}, "distortion_params": [{}], "frames": [
+            {{"file_path": "images/0.png", "transform_matrix": {pose}}}, {{"file_path": "images/1.png", "transform_matrix": {pose}}}]}}"#,
+        numbers[0],
+        numbers[1],
+        numbers[2],
+        numbers[3],
+        numbers[4..].join(","),
+    );
+    transforms_json(table.as_bytes());
+}
+
 /// `data` as `transforms.json`, and as a Blender set's list of training views.
 pub(super) fn transforms_json(data: &[u8]) {
     for name in ["transforms.json", "transforms_train.json"] {
@@ -328,6 +371,13 @@ impl<'a> Bytes<'a> {
 
     fn u16(&mut self) -> usize {
         usize::from(self.u8()) + 256 * usize::from(self.u8())
+    }
+
+    fn f64(&mut self) -> f64 {
+        let mut number = [0; 8];
+        let taken = self.take(8);
+        number[..taken.len()].copy_from_slice(taken);
+        f64::from_le_bytes(number)
     }
 
     fn take(&mut self, count: usize) -> &'a [u8] {

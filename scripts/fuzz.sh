@@ -12,7 +12,7 @@ seconds=${1:-600}
 shift || true
 targets=("$@")
 codec=(decode decode_header roundtrip)
-readers=(ingest_zip colmap_binary colmap_text transforms_json masks ply spz view_query upload_headers)
+readers=(ingest_zip colmap_binary colmap_text camera transforms_json masks ply spz view_query upload_headers)
 [ ${#targets[@]} -gt 0 ] || targets=("${codec[@]}" "${readers[@]}")
 
 if ! cargo fuzz --version >/dev/null 2>&1; then

@@ -10,7 +10,7 @@ use tcgs::{
     export::world::Origin,
 };
 
-use super::{CliError, Report, adapter::AdapterFlag, files, notice::notice, wiring};
+use super::{CliError, Report, adapter::AdapterFlag, files, notice::notice, reading::LENIENT, wiring};
 
 /// The formats that other programs read.
 const FORMATS: [SceneFormat; 3] = [SceneFormat::Ply, SceneFormat::Spz, SceneFormat::Spz3];
@@ -94,7 +94,7 @@ pub(crate) fn run(args: &Args) -> Result<Report, CliError> {
     let in_file = |problem: Problem| problem.in_file(args.file.display().to_string());
     let bytes = files::read(&args.file)?;
     let file = wiring::read(&bytes).map_err(in_file)?;
-    let dataset = args.dataset.as_deref().map(wiring::load_dataset).transpose()?;
+    let dataset = args.dataset.as_deref().map(|path| wiring::load_as(path, &LENIENT)).transpose()?;
     if let (Some(path), Some(dataset), Some(stated)) = (&args.dataset, &dataset, file.dataset)
         && stated != dataset.digest
     {

@@ -76,6 +76,13 @@ fn flag(row: &'static TrainOption) -> Arg {
         OptionKind::Choices(names) => list(flag).value_parser(PossibleValuesParser::new(names)),
         OptionKind::Positives(_) => list(flag).value_parser(is_of_kind),
         OptionKind::Integer(..) => flag.value_name("N").value_parser(is_of_kind),
+        OptionKind::Switch => flag
+            .value_parser(is_of_kind)
+            .num_args(0..=1)
+            .require_equals(true)
+            .default_missing_value("true")
+            .hide_default_value(true)
+            .value_name("true|false"),
         OptionKind::Bytes => flag
             .value_name("BYTES")
             .value_parser(move |text: &str| is_of_kind(&text.parse::<Bytes>()?.0.to_string())),

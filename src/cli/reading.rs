@@ -25,11 +25,27 @@ pub(super) struct ReadFlags {
         value_parser = PossibleValuesParser::new(MaskMode::NAMES).try_map(|name| name.parse::<MaskMode>())
     )]
     mask_mode: MaskMode,
+    /// Leave listed photographs that are missing out, rather than refuse the dataset
+    #[arg(long)]
+    skip_missing: bool,
 }
 
 impl ReadFlags {
     pub(super) fn options(&self) -> ReadOptions {
-        let Self { exif_orientation, masks, mask_mode } = self;
-        ReadOptions { exif_orientation: *exif_orientation, masks: masks.clone(), mask_mode: *mask_mode }
+        let Self { exif_orientation, masks, mask_mode, skip_missing } = self;
+        ReadOptions {
+            exif_orientation: *exif_orientation,
+            masks: masks.clone(),
+            mask_mode: *mask_mode,
+            skip_missing: *skip_missing,
+        }
     }
 }
+
+/// For commands that use what is there of a dataset whose training decided about missing photographs.
+pub(super) const LENIENT: ReadOptions = ReadOptions {
+    exif_orientation: ExifOrientation::Auto,
+    masks: MaskSource::Auto,
+    mask_mode: MaskMode::Auto,
+    skip_missing: true,
+};

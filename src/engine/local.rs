@@ -4,7 +4,9 @@ use std::{path::Path, sync::Arc};
 
 use super::{SceneEngine, SceneSource};
 use crate::{
-    domain::{Camera, DatasetSummary, Digest, ExportedScene, NamedCamera, Problem, SceneFormat, Split},
+    domain::{
+        Camera, DatasetSummary, Digest, ExportedScene, NamedCamera, Problem, ReadOptions, SceneFormat, Split,
+    },
     export::world::Origin,
     ingest::DatasetChecker,
     pipeline::{
@@ -30,8 +32,8 @@ impl LocalEngine {
 }
 
 impl SceneEngine for LocalEngine {
-    fn check(&self, archive: &Path) -> Result<DatasetSummary, Problem> {
-        self.checker.check(archive)
+    fn check(&self, archive: &Path, read: &ReadOptions) -> Result<DatasetSummary, Problem> {
+        self.checker.check(archive, read)
     }
 
     fn renderer(&self, _: Digest) -> Result<Arc<dyn RenderViews>, Problem> {

@@ -9,7 +9,7 @@ use bytes::Bytes;
 pub use local::LocalEngine;
 
 use crate::{
-    domain::{DatasetSummary, Digest, ExportedScene, NamedCamera, Problem, SceneFormat},
+    domain::{DatasetSummary, Digest, ExportedScene, NamedCamera, Problem, ReadOptions, SceneFormat},
     pipeline::scene_file,
     render::{RenderViews, views::Viewable},
 };
@@ -28,7 +28,7 @@ pub trait SceneEngine: Send + Sync {
     ///
     /// # Errors
     /// What is wrong with it, and where.
-    fn check(&self, archive: &Path) -> Result<DatasetSummary, Problem>;
+    fn check(&self, archive: &Path, read: &ReadOptions) -> Result<DatasetSummary, Problem>;
 
     /// Reads a finished scene's file of any format.
     ///

@@ -7,7 +7,9 @@ use super::{
     protocol::{self, Channels, ExportHead, ExportRequest, PictureHead, RenderRequest},
 };
 use crate::{
-    domain::{Camera, DatasetSummary, Digest, ExportedScene, Image, NamedCamera, Problem, SceneFormat},
+    domain::{
+        Camera, DatasetSummary, Digest, ExportedScene, Image, NamedCamera, Problem, ReadOptions, SceneFormat,
+    },
     engine::{SceneEngine, SceneSource},
     ingest::DatasetChecker,
     render::{
@@ -31,8 +33,8 @@ impl RemoteEngine {
 }
 
 impl SceneEngine for RemoteEngine {
-    fn check(&self, archive: &Path) -> Result<DatasetSummary, Problem> {
-        self.checker.check(archive)
+    fn check(&self, archive: &Path, read: &ReadOptions) -> Result<DatasetSummary, Problem> {
+        self.checker.check(archive, read)
     }
 
     fn renderer(&self, file: Digest) -> Result<Arc<dyn RenderViews>, Problem> {

@@ -12,8 +12,8 @@ use glam::DVec3;
 use tcgs::{
     domain::{
         Background, Camera, Clock as _, DatasetSummary, Digest, ExportFidelity, ExportedScene, Image,
-        Intrinsics, ManualClock, NamedCamera, Pose, Problem, ProblemType, SceneFormat, Split, SystemRandom,
-        ViewerToken,
+        Intrinsics, ManualClock, NamedCamera, Pose, Problem, ProblemType, ReadOptions, SceneFormat, Split,
+        SystemRandom, ViewerToken,
     },
     engine::{SceneEngine, SceneSource},
     http::{self, HttpConfig, ViewerConfig, ViewerServices},
@@ -62,7 +62,7 @@ impl Painter {
 struct PainterEngine(Arc<Painter>);
 
 impl SceneEngine for PainterEngine {
-    fn check(&self, archive: &Path) -> Result<DatasetSummary, Problem> {
+    fn check(&self, archive: &Path, _: &ReadOptions) -> Result<DatasetSummary, Problem> {
         fakes::check(archive)
     }
 

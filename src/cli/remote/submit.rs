@@ -67,14 +67,15 @@ pub(crate) fn run(args: &Args) -> Result<Report, CliError> {
     let connection = args.server.connect()?;
     let request = request(args, &options)?;
     if !args.unchecked {
-        wiring::check_dataset(&args.dataset)?;
+        wiring::check_dataset(&args.dataset, &options.reading())?;
     }
     let archive = Archive::open(&args.dataset)?;
     super::run(async {
-        let made = match upload::scene_of(&connection, &archive, args.part_bytes.0).await? {
-            Some(scene) => of_scene(&connection, &scene, request).await?,
-            None => of_archive(&connection, &archive, &request).await?,
-        };
+        let made =
+            match upload::scene_of(&connection, &archive, args.part_bytes.0, options.skip_missing).await? {
+                Some(scene) => of_scene(&connection, &scene, request).await?,
+                None => of_archive(&connection, &archive, &request).await?,
+            };
         let (whole, view) = job::read(made)?;
         if !args.wait {
             return Ok(job::created(whole, &view, &args.server));

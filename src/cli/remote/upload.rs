@@ -29,6 +29,7 @@ pub(super) async fn scene_of(
     connection: &Connection,
     archive: &Archive,
     part_bytes: u64,
+    skip_missing: bool,
 ) -> Result<Option<String>, CliError> {
     if archive.bytes <= part_bytes || !takes_parts(connection).await? {
         return Ok(None);
@@ -43,7 +44,12 @@ pub(super) async fn scene_of(
         text(&created, LOCATION.as_str()).ok_or_else(|| unexpected("it names no place for the upload"))?;
     send_parts(connection, archive, part_bytes, &upload).await?;
     let id = upload.rsplit('/').next().unwrap_or_default();
-    let scene: Value = document(connection.post("/v1/scenes", &json!({ "upload_id": id })).await?).await?;
+    let mut wanted = json!({ "upload_id": id });
+    if skip_missing {
+        // Earlier services do not know the field.
+        wanted["skip_missing"] = true.into();
+    }
+    let scene: Value = document(connection.post("/v1/scenes", &wanted).await?).await?;
     let id = scene["id"].as_str().ok_or_else(|| unexpected("its scene has no id"))?;
     Ok(Some(id.to_owned()))
 }

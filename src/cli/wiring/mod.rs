@@ -39,7 +39,7 @@ pub(crate) use service::{ServeOptions, WorkerOptions, migrate, serve, worker};
 pub(crate) use upkeep::{back_up, fsck, restore};
 pub(crate) use viewer::{Advertised, ViewerOptions, viewer};
 
-use super::{CliError, files, memory::MemoryFlags};
+use super::{CliError, files, memory::MemoryFlags, reading::LENIENT};
 
 /// Default quantization step of features (the published one).
 pub(crate) const FEATURE_STEP: f32 = 1.0;
@@ -63,11 +63,6 @@ pub(crate) struct Inspection {
     pub(crate) text: String,
 }
 
-/// As [`load_as`], read as usual.
-pub(crate) fn load_dataset(path: &Path) -> Result<Dataset, Problem> {
-    load_as(path, &ReadOptions::default())
-}
-
 /// Reads a dataset; photographs may use half of the available memory.
 pub(crate) fn load_as(path: &Path, reading: &ReadOptions) -> Result<Dataset, Problem> {
     let host = MemoryFlags::default().limits(1).host;
@@ -89,8 +84,8 @@ pub(crate) fn pack(folder: &Path, archive: &mut std::fs::File) -> Result<(), Pro
 }
 
 /// Checks a dataset without reading its pixels.
-pub(crate) fn check_dataset(path: &Path) -> Result<(), Problem> {
-    ingest::check(path).map(drop).map_err(|problem| named(problem, path))
+pub(crate) fn check_dataset(path: &Path, read: &ReadOptions) -> Result<(), Problem> {
+    ingest::check_as(path, read).map(drop).map_err(|problem| named(problem, path))
 }
 
 /// What a dataset holds and its cameras. Pixels are read only where they decide how files are read.
@@ -103,7 +98,7 @@ pub(crate) fn survey_dataset(
 
 /// The cameras of a dataset, without reading its pixels.
 pub(crate) fn cameras(path: &Path) -> Result<Vec<NamedCamera>, Problem> {
-    ingest::cameras(path).map_err(|problem| named(problem, path))
+    Ok(survey_dataset(path, &LENIENT)?.1)
 }
 
 /// The mean error of held-out views in the high wavelet bands; `None` without such views.

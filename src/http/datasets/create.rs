@@ -14,7 +14,7 @@ use super::{
     representation,
 };
 use crate::{
-    domain::{Caller, DatasetId, Digest, ProblemType, ProjectId, UploadId},
+    domain::{Caller, DatasetId, Digest, ProblemType, ProjectId, ReadOptions, UploadId},
     http::{
         problem::{Answer as _, ApiResult, ProblemResponse},
         request::{
@@ -46,6 +46,7 @@ struct SceneFields {
     project: ProjectId,
     name: Option<String>,
     upload: Option<UploadId>,
+    skip_missing: bool,
     intent: Option<IdempotentRequest>,
 }
 
@@ -54,10 +55,12 @@ struct SceneFields {
 struct CreateSceneRequest {
     upload_id: String,
     name: Option<String>,
+    #[serde(default)]
+    skip_missing: bool,
 }
 
 impl JsonBody for CreateSceneRequest {
-    const EXPECTED: &'static str = "{\"upload_id\": ID, \"name\": TEXT}";
+    const EXPECTED: &'static str = "{\"upload_id\": ID, \"name\": TEXT, \"skip_missing\": BOOLEAN}";
 }
 
 /// `POST /v1/datasets`.
@@ -104,6 +107,7 @@ async fn from_archive(
     let CreateRequest { state, caller, uri, headers } = request;
     let mut parameters = Parameters::parse(uri.query())?;
     let name = parameters.take("name").map(checked_name).transpose()?;
+    let skip_missing = parameters.take_as("skip_missing", "true or false")?.unwrap_or(false);
     parameters.finish()?;
     let announced = content_digest::announced(headers)?;
     let guard = request.begin()?;
@@ -112,7 +116,7 @@ async fn from_archive(
     let received = receive(state, project, headers, body).await?;
     content_digest::check(announced, received.blob().digest)?;
     let intent = request.intent(guard.as_ref(), received.blob().digest);
-    let fields = SceneFields { project, name, upload: None, intent: intent.clone() };
+    let fields = SceneFields { project, name, upload: None, skip_missing, intent: intent.clone() };
     idempotent(request, intent, keep(state, received, fields)).await
 }
 
@@ -123,7 +127,7 @@ async fn from_upload(
     let CreateRequest { state, caller, uri, headers } = request;
     Parameters::parse(uri.query())?.finish()?;
     let content = read_json(body, headers, &state.limits).await?;
-    let CreateSceneRequest { upload_id, name } = parse_json(&content)?;
+    let CreateSceneRequest { upload_id, name, skip_missing } = parse_json(&content)?;
     let name = name.map(checked_name).transpose()?;
     let guard = request.begin()?;
     let intent = request.intent(guard.as_ref(), Digest::of(&content));
@@ -149,7 +153,8 @@ async fn from_upload(
         let name = name.or_else(from_metadata);
         // An administrator's request may name another project's upload.
         let project = record.project;
-        let fields = SceneFields { project, name, upload: Some(record.id), intent: intent.clone() };
+        let fields =
+            SceneFields { project, name, upload: Some(record.id), skip_missing, intent: intent.clone() };
         let created = keep(state, received, fields).await?;
         if created.is_ok()
             && let Err(error) = state.blobs().remove_upload(record.id).await
@@ -182,12 +187,12 @@ async fn keep(
     received: ReceivedDataset,
     fields: SceneFields,
 ) -> ApiResult<Result<CreatedScene, StoreError>> {
-    let SceneFields { project, name, upload, intent } = fields;
+    let SceneFields { project, name, upload, skip_missing, intent } = fields;
     let dataset = received.blob();
     let known = state.store().dataset_by_archive(project, dataset.digest).await?;
     let (received, summary) = match known {
         Some(known) => (received, known.summary),
-        None => received.check(state).await?,
+        None => received.check(state, ReadOptions { skip_missing, ..ReadOptions::default() }).await?,
     };
     let new = NewDataset {
         id: DatasetId(state.services.new_uuid()),

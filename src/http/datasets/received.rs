@@ -12,7 +12,7 @@ use tokio::{task::spawn_blocking, time::timeout};
 use tracing::Instrument as _;
 
 use crate::{
-    domain::{DatasetSummary, ProjectId},
+    domain::{DatasetSummary, ProjectId, ReadOptions},
     http::{
         problem::{ApiResult, ProblemResponse},
         request::{Pieces, announced_length},
@@ -159,7 +159,11 @@ impl ReceivedDataset {
     ///
     /// # Errors
     /// What is wrong with the dataset; 503 if none is free in time.
-    pub(crate) async fn check(self, state: &AppState) -> ApiResult<(Self, DatasetSummary)> {
+    pub(crate) async fn check(
+        self,
+        state: &AppState,
+        read: ReadOptions,
+    ) -> ApiResult<(Self, DatasetSummary)> {
         let permit = Arc::clone(&state.checks).acquire_owned();
         let Ok(Ok(permit)) = timeout(state.limits.check_time, permit).await else {
             return Err(ProblemResponse::busy("other datasets are being checked; try again later"));
@@ -168,7 +172,7 @@ impl ReceivedDataset {
         let checked = spawn_blocking(move || {
             // Held as long as the thread works, also if the client disconnects: the process has a limited number of them.
             let _permit = permit;
-            let checked = engine.check(self.path());
+            let checked = engine.check(self.path(), &read);
             (self, checked)
         });
         let (received, checked) = checked.await?;

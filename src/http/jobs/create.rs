@@ -109,7 +109,7 @@ async fn from_archive(
     let received = receive(state, caller.project, headers, body).await?;
     let intent = request.intent(guard.as_ref(), received.blob().digest);
     let create = async {
-        let (received, summary) = received.check(state).await?;
+        let (received, summary) = received.check(state, wanted.options.reading()).await?;
         let job = new_job(request, wanted, (received.blob(), summary.layout)).await?;
         let job = NewJob { intent: intent.clone(), ..job };
         let store = state.services.store.clone();

@@ -37,6 +37,11 @@ fn a_dataset_is_described_or_refused_with_the_file_that_is_wrong() {
     let problem: Value = serde_json::from_slice(&refused.stdout).expect("one JSON document");
     assert_eq!(problem["type"], "urn:tcgs:problem:dataset-rejected", "{problem:#}");
     assert!(problem.to_string().contains("view_07.png"), "{problem:#}");
+    assert!(problem.to_string().contains("--skip-missing"), "the way out is named: {problem:#}");
+    let without = answers(["check", path, "--json", "--skip-missing"]);
+    assert_eq!(without["train"].as_u64().zip(without["test"].as_u64()).map(|(a, b)| a + b), Some(47));
+    let note = "1 of the 48 photographs of transforms.json are missing and left out: images/view_07.png";
+    assert_eq!(without["notes"], json!([note]));
     assert_eq!(
         tcgs(["check", folder.path().join("missing").to_str().expect("UTF-8")]).status.code(),
         Some(3)

@@ -34,6 +34,7 @@ fn schema(kind: OptionKind) -> Value {
         OptionKind::Positives(most) => {
             json!({ "type": "array", "maxItems": most, "uniqueItems": true, "items": positive })
         }
+        OptionKind::Switch => json!({ "type": "boolean" }),
         OptionKind::ChoiceOrPositive(names) => json!({ "anyOf": [{ "enum": names }, positive] }),
     }
 }
@@ -56,7 +57,11 @@ fn in_json(row: &TrainOption) -> Value {
                 schema["type"] = json!([schema["type"], "null"]);
             }
             if let Some(text) = row.default {
-                schema["default"] = text.parse::<u64>().map_or_else(|_| text.into(), Value::from);
+                let text_alone = || text.into();
+                schema["default"] = match row.kind {
+                    OptionKind::Choice(_) => text_alone(),
+                    _ => serde_json::from_str(text).unwrap_or_else(|_| text_alone()),
+                };
             }
             schema
         }

@@ -50,6 +50,28 @@ pub(super) async fn a_dataset_is_kept_once_and_found_again(coverage: Coverage) {
     keep(&server, &longest, "succeed with the longest name").await.expect(201);
 }
 
+pub(super) async fn missing_photographs_are_left_out_if_that_is_asked_for(coverage: Coverage) {
+    let server = Server::start_with(&coverage, idle()).await;
+    let post = async |path: &str| {
+        let request = server.send("POST", path, |request| {
+            request.header("content-type", "application/zip").body("incomplete")
+        });
+        request.await
+    };
+    for path in ["/v1/datasets", "/v1/datasets?skip_missing=false", "/v1/jobs", "/v1/jobs?skip_missing=false"]
+    {
+        let detail = post(path).await.expect_problem(422, "invalid-dataset");
+        assert!(detail.contains("are missing"), "{path}: {detail}");
+    }
+    post("/v1/datasets?skip_missing=yes").await.expect_problem(422, "invalid-parameter");
+    let job = post("/v1/jobs?skip_missing=true").await.expect(201).json();
+    assert_eq!(job["options"]["skip_missing"], true);
+    let dataset = post("/v1/datasets?skip_missing=true").await.expect(201).json();
+    let wanted = json!({ "dataset_id": dataset["id"], "skip_missing": true });
+    let job = server.post_json("/v1/jobs", &wanted).await.expect(201).json();
+    assert_eq!(job["options"]["skip_missing"], true);
+}
+
 pub(super) async fn both_names_of_datasets_mean_the_same(coverage: Coverage) {
     let server = Server::start_with(&coverage, idle()).await;
     let made = server.send("POST", "/v1/datasets?name=Garden", |request| {

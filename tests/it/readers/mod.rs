@@ -12,10 +12,11 @@ mod targets;
 type Target = (&'static str, fn(&[u8]));
 
 /// Every target of `fuzz/readers.rs`.
-const TARGETS: [Target; 9] = [
+const TARGETS: [Target; 10] = [
     ("ingest_zip", targets::ingest_zip),
     ("colmap_binary", targets::colmap_binary),
     ("colmap_text", targets::colmap_text),
+    ("camera", targets::camera),
     ("transforms_json", targets::transforms_json),
     ("masks", targets::masks),
     ("ply", targets::ply),

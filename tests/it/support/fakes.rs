@@ -16,8 +16,9 @@ use tcgs::{
         AnchorScene, Background, ByteCounts, Camera, CancelFlag, CodingEfficiency, CodingStages, Conventions,
         CurvePoint, DatasetSummary, Digest, ExportFidelity, ExportedScene, HeldOut, HeldOutView, Image,
         Intrinsics, JobId, JobMetrics, Lattice, Layout, LpipsNetwork, Mlp, NamedCamera, NearPlane, Phase,
-        PhaseSeconds, Pose, Problem, ProblemType, Progress, RenderNetworks, RenderingError, Scene,
-        SceneFormat, SceneFrame, SceneScale, Scores, Split, TrainOptions, ViewScore, WorkerCounts, Workers,
+        PhaseSeconds, Pose, Problem, ProblemType, Progress, ReadOptions, RenderNetworks, RenderingError,
+        Scene, SceneFormat, SceneFrame, SceneScale, Scores, Split, TrainOptions, ViewScore, WorkerCounts,
+        Workers,
     },
     engine::{SceneEngine, SceneSource},
     pipeline::{CheckpointPlan, CurveFile, JobError, JobOutput, RunJob},
@@ -371,7 +372,12 @@ impl Default for FakeEngine {
 }
 
 impl SceneEngine for FakeEngine {
-    fn check(&self, archive: &Path) -> Result<DatasetSummary, Problem> {
+    fn check(&self, archive: &Path, reading: &ReadOptions) -> Result<DatasetSummary, Problem> {
+        if !reading.skip_missing && fs::read(archive).is_ok_and(|content| content.starts_with(b"incomplete"))
+        {
+            let error = "1 of the 3 images listed here are missing: images/0.png";
+            return Err(Problem::new(ProblemType::InvalidDataset, error).in_file("transforms.json"));
+        }
         (self.check)(archive)
     }
 

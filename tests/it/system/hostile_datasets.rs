@@ -116,6 +116,13 @@ fn claimed_cameras() -> Vec<u8> {
     zipped(&files)
 }
 
+fn two_datasets() -> Vec<u8> {
+    let inside = |folder: &'static str| {
+        transforms().into_iter().map(move |(name, content)| (format!("{folder}/{name}"), content))
+    };
+    zipped(&inside("a").chain(inside("b")).collect())
+}
+
 /// A PNG whose header claims a hundred thousand pixels per side.
 fn endless_png() -> Vec<u8> {
     let mut image = png(8, 6);
@@ -213,7 +220,16 @@ fn tables() -> Vec<Row> {
             "transforms.json",
             "missing: 2.png",
         ),
-        ("an image outside", json("1.png", "../1.png"), 422, "table-rejected", "transforms.json", "not safe"),
+        ("no image's path", json("1.png", "../.."), 422, "table-rejected", "transforms.json", "not safe"),
+        (
+            "an image outside",
+            json("1.png", "../../etc/passwd"),
+            422,
+            "dataset-rejected",
+            "transforms.json",
+            "missing: ../../etc/passwd",
+        ),
+        ("two datasets", two_datasets(), 422, "dataset-rejected", "", "there are 2 datasets, in a/, b/"),
         (
             "claimed cameras",
             claimed_cameras(),
@@ -240,11 +256,35 @@ fn tables() -> Vec<Row> {
         ),
         (
             "an unknown lens",
-            text("cameras", "PINHOLE", "FISHEYE"),
+            text("cameras", "PINHOLE", "SPHERE"),
             422,
             "camera-rejected",
             "sparse/0/cameras.txt",
             "not supported",
+        ),
+        (
+            "a panorama",
+            text("cameras", "PINHOLE 8 6 9 9.5 4.25 3", "EQUIRECTANGULAR 8 6 8 6"),
+            422,
+            "camera-rejected",
+            "sparse/0/cameras.txt",
+            "perspective",
+        ),
+        (
+            "a lens that folds",
+            text("cameras", "PINHOLE 8 6 9 9.5 4.25 3", "OPENCV_FISHEYE 8 6 9 9.5 4.25 3 -1e300 0 0 0"),
+            422,
+            "camera-rejected",
+            "images/0.png",
+            "too strong",
+        ),
+        (
+            "a lens of NaN",
+            text("cameras", "PINHOLE 8 6 9 9.5 4.25 3", "FOV 8 6 9 9.5 4.25 3 nan"),
+            422,
+            "camera-rejected",
+            "sparse/0/cameras.txt",
+            "not finite",
         ),
         (
             "a point nowhere",
@@ -281,6 +321,14 @@ fn points_and_images() -> Vec<Row> {
         ("a point of NaN", ply("1 2 3", "1 nan 3"), 422, "points-rejected", "p.ply", "finite"),
         ("half a point", ply("property float z\n", ""), 422, "points-rejected", "p.ply", "lack x, y or z"),
         ("no image", with(transforms(), "1.png", "hello"), 422, "image-rejected", "1.png", "not a readable"),
+        (
+            "a TIFF",
+            with(transforms(), "1.png", b"II*\0\x08\0\0\0".as_slice()),
+            422,
+            "image-rejected",
+            "1.png",
+            "magick mogrify -format png *.png",
+        ),
         ("half a header", with(transforms(), "1.png", cut), 422, "image-rejected", "1.png", "not a readable"),
         (
             "another size",

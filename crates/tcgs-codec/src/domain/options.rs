@@ -195,6 +195,9 @@ pub struct TrainOptions {
     /// What masks and transparency mean; serialized only if it is stated.
     #[serde(skip_serializing_if = "is_usual")]
     pub mask_mode: MaskMode,
+    /// Whether listed photographs that are missing are left out; serialized only if they are.
+    #[serde(skip_serializing_if = "is_false")]
+    pub skip_missing: bool,
 }
 
 /// Whether a number stays positive and normal in single precision.
@@ -221,6 +224,11 @@ fn is_usual(mode: &MaskMode) -> bool {
     *mode == MaskMode::Auto
 }
 
+#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde passes a reference")]
+fn is_false(value: &bool) -> bool {
+    !value
+}
+
 impl Default for TrainOptions {
     fn default() -> Self {
         Self {
@@ -239,6 +247,7 @@ impl Default for TrainOptions {
             exif_orientation: ExifOrientation::Auto,
             masks: MaskSource::Auto,
             mask_mode: MaskMode::Auto,
+            skip_missing: false,
         }
     }
 }
@@ -247,8 +256,13 @@ impl TrainOptions {
     /// How the dataset is read.
     #[must_use]
     pub fn reading(&self) -> ReadOptions {
-        let Self { exif_orientation, masks, mask_mode, .. } = self;
-        ReadOptions { exif_orientation: *exif_orientation, masks: masks.clone(), mask_mode: *mask_mode }
+        let Self { exif_orientation, masks, mask_mode, skip_missing, .. } = self;
+        ReadOptions {
+            exif_orientation: *exif_orientation,
+            masks: masks.clone(),
+            mask_mode: *mask_mode,
+            skip_missing: *skip_missing,
+        }
     }
 
     /// Whether a part of the method takes part: the baselines have none of them.
@@ -406,6 +420,8 @@ pub enum OptionKind {
     ChoiceOrPositive(&'static [&'static str]),
     /// One of these names, or the path of a folder in the dataset.
     ChoiceOrFolder(&'static [&'static str]),
+    /// True or false.
+    Switch,
 }
 
 impl fmt::Display for OptionKind {
@@ -421,6 +437,7 @@ impl fmt::Display for OptionKind {
             OptionKind::ChoiceOrFolder(names) => {
                 write!(f, "{} or the path of a folder in the dataset", names.join(", "))
             }
+            OptionKind::Switch => f.write_str("true or false"),
         }
     }
 }
@@ -440,7 +457,14 @@ impl OptionKind {
             (OptionKind::ChoiceOrPositive(names), Value::String(text)) => {
                 names.contains(&text.as_str()).then(|| text.clone())
             }
-            (OptionKind::Choice(_) | OptionKind::Choices(_) | OptionKind::ChoiceOrFolder(_), _) => None,
+            (OptionKind::Switch, Value::Bool(value)) => Some(value.to_string()),
+            (
+                OptionKind::Choice(_)
+                | OptionKind::Choices(_)
+                | OptionKind::ChoiceOrFolder(_)
+                | OptionKind::Switch,
+                _,
+            ) => None,
             (_, Value::Number(number)) => Some(number.to_string()),
             _ => None,
         };
@@ -514,7 +538,7 @@ impl TrainOption {
 
 /// Every option of a training run. The command line's flags, the query string and JSON are read by it, and a test holds `openapi.yaml`
 /// to it.
-pub static TRAIN_OPTIONS: [TrainOption; 16] = [
+pub static TRAIN_OPTIONS: [TrainOption; 17] = [
     TrainOption {
         name: "preset",
         kind: OptionKind::Choice(Preset::NAMES),
@@ -660,6 +684,13 @@ pub static TRAIN_OPTIONS: [TrainOption; 16] = [
         ),
         set: |options, text| text.parse().ok().map(|mode| options.mask_mode = mode),
     },
+    TrainOption {
+        name: "skip_missing",
+        kind: OptionKind::Switch,
+        default: Some("false"),
+        help: Some("Leave listed photographs that are missing out, rather than refuse the dataset"),
+        set: |options, text| text.parse().ok().map(|skip| options.skip_missing = skip),
+    },
 ];
 
 /// As much of a value as a message repeats.
@@ -708,8 +739,14 @@ mod tests {
         let with = Component::ALL.iter().copied().collect();
         let exif_orientation = ExifOrientation::Ignore;
         let (masks, mask_mode) = (MaskSource::None, MaskMode::Ignore);
-        let until = Until::Converged;
-        let all = TrainOptions { with, until, exif_orientation, masks, mask_mode, ..TrainOptions::default() };
+        let stated = TrainOptions {
+            exif_orientation,
+            masks,
+            mask_mode,
+            skip_missing: true,
+            ..TrainOptions::default()
+        };
+        let all = TrainOptions { with, until: Until::Converged, ..stated };
         let fields = serde_json::to_value(all).expect("JSON");
         let fields: BTreeSet<&str> =
             fields.as_object().expect("an object").keys().map(String::as_str).collect();

@@ -99,11 +99,18 @@ pub struct ReadOptions {
     pub masks: MaskSource,
     /// What masks and transparency mean.
     pub mask_mode: MaskMode,
+    /// Whether listed photographs that are missing are left out, rather than the dataset refused.
+    pub skip_missing: bool,
 }
 
 impl Default for ReadOptions {
     fn default() -> Self {
-        Self { exif_orientation: ExifOrientation::Auto, masks: MaskSource::Auto, mask_mode: MaskMode::Auto }
+        Self {
+            exif_orientation: ExifOrientation::Auto,
+            masks: MaskSource::Auto,
+            mask_mode: MaskMode::Auto,
+            skip_missing: false,
+        }
     }
 }
 

@@ -9,7 +9,7 @@ use super::{
     limits::Limits,
     semaphore::{Semaphore, SemaphoreGuard},
 };
-use crate::domain::{DatasetSummary, Problem};
+use crate::domain::{DatasetSummary, Problem, ReadOptions};
 
 /// Bounds how many datasets are checked at a time, and for how long each.
 ///
@@ -32,9 +32,9 @@ impl DatasetChecker {
     ///
     /// # Errors
     /// As [`super::check`], 413 if the check takes too long, and 503 if no slot becomes free.
-    pub fn check(&self, path: &Path) -> Result<DatasetSummary, Problem> {
+    pub fn check(&self, path: &Path, read: &ReadOptions) -> Result<DatasetSummary, Problem> {
         let _slot = self.acquire()?;
-        Ok(check_by(Deadline::after(self.time), path, &self.limits)?)
+        Ok(check_by(Deadline::after(self.time), path, &self.limits, read)?)
     }
 
     fn acquire(&self) -> Result<SemaphoreGuard<'_>, IngestError> {
@@ -55,10 +55,12 @@ mod tests {
 
     #[test]
     fn a_check_that_has_no_time_left_is_refused_with_the_time() {
+        let read = ReadOptions::default();
         for archive in [nerfstudio().archive(), colmap().archive()] {
             let written = file(&archive);
-            assert!(DatasetChecker::new(1, MINUTE).check(&written.path).is_ok());
-            let problem = DatasetChecker::new(1, Duration::ZERO).check(&written.path).expect_err("no time");
+            assert!(DatasetChecker::new(1, MINUTE).check(&written.path, &read).is_ok());
+            let problem =
+                DatasetChecker::new(1, Duration::ZERO).check(&written.path, &read).expect_err("no time");
             assert_eq!(problem.status, 413, "{problem}");
             assert!(problem.detail.contains("was ended after 0 s"), "{problem}");
         }
@@ -88,7 +90,9 @@ mod tests {
             }
         });
         assert!(max.into_inner() <= 2);
-        let none = DatasetChecker::new(0, Duration::ZERO).check(Path::new("anything")).expect_err("no slot");
+        let none = DatasetChecker::new(0, Duration::ZERO)
+            .check(Path::new("anything"), &ReadOptions::default())
+            .expect_err("no slot");
         assert_eq!((none.status, none.kind.as_str()), (503, "urn:tcgs:problem:busy"), "{none}");
     }
 }

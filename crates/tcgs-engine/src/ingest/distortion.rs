@@ -5,6 +5,7 @@
 
 use super::{
     error::{IngestErrorKind, Result},
+    projection::Projection,
     sampling::bilinear,
 };
 use crate::domain::{Image, Intrinsics};
@@ -15,9 +16,22 @@ const MIN_REMAINING: f64 = 0.5;
 /// Steps in which the radius is searched for the fold of the distortion polynomial.
 const FOLD_STEPS: u32 = 4096;
 
+/// Directions in which the fold of a [`Projection`] is searched, and steps in each.
+const FOLD_DIRECTIONS: u32 = 16;
+const PROJECTION_FOLD_STEPS: u32 = 512;
+
+/// How a lens distorts.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) enum Distortion {
+    /// By a polynomial, or not at all.
+    Polynomial(Polynomial),
+    /// By another camera model.
+    Projection(Projection),
+}
+
 /// Radial and tangential coefficients in the convention of OpenCV and COLMAP.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
-pub(super) struct Distortion {
+pub(super) struct Polynomial {
     /// k1..k4, factors of r², r⁴, r⁶ and r⁸.
     pub(super) radial: [f64; 4],
     /// p1 and p2.
@@ -50,19 +64,9 @@ impl Crop {
     }
 }
 
-impl Distortion {
-    /// Whether there is none.
-    pub(super) fn is_none(&self) -> bool {
-        *self == Self::default()
-    }
-
-    /// Whether every coefficient is finite.
-    pub(super) fn is_finite(&self) -> bool {
-        self.radial.iter().chain(&self.tangential).all(|value| value.is_finite())
-    }
-
+impl Polynomial {
     /// The distorted position of a point on the plane at depth 1.
-    pub(super) fn distort(&self, [x, y]: [f64; 2]) -> [f64; 2] {
+    fn distort(&self, [x, y]: [f64; 2]) -> [f64; 2] {
         let [k1, k2, k3, k4] = self.radial;
         let [p1, p2] = self.tangential;
         let r2 = x * x + y * y;
@@ -81,6 +85,45 @@ impl Distortion {
             .map(|step| largest * f64::from(step) / f64::from(FOLD_STEPS))
             .find(|r2| 1.0 + r2 * (3.0 * k1 + r2 * (5.0 * k2 + r2 * (7.0 * k3 + r2 * 9.0 * k4))) <= 0.0)
             .unwrap_or(f64::INFINITY)
+    }
+}
+
+impl Default for Distortion {
+    fn default() -> Self {
+        Self::Polynomial(Polynomial::default())
+    }
+}
+
+impl Distortion {
+    /// Whether there is none.
+    pub(super) fn is_none(&self) -> bool {
+        *self == Self::default()
+    }
+
+    /// Whether every coefficient is finite.
+    pub(super) fn is_finite(&self) -> bool {
+        match self {
+            Self::Polynomial(Polynomial { radial, tangential }) => {
+                radial.iter().chain(tangential).all(|value| value.is_finite())
+            }
+            Self::Projection(projection) => projection.is_finite(),
+        }
+    }
+
+    /// The distorted position of a point on the plane at depth 1; not finite if a lens does not see it.
+    pub(super) fn distort(&self, point: [f64; 2]) -> [f64; 2] {
+        match self {
+            Self::Polynomial(polynomial) => polynomial.distort(point),
+            Self::Projection(projection) => projection.project(point),
+        }
+    }
+
+    /// The square of the smallest radius, up to `largest`, from which on the model folds back and describes no lens.
+    fn fold(&self, largest: f64) -> f64 {
+        match self {
+            Self::Polynomial(polynomial) => polynomial.fold(largest),
+            Self::Projection(projection) => fold_of(projection, largest),
+        }
     }
 
     /// The rectangle that undistortion keeps: fully covered by the photograph, grown from the principal point
@@ -129,6 +172,18 @@ impl Distortion {
         }
     }
 
+    /// Whether the lens saw a point of the pinhole image, given in pixels.
+    pub(super) fn visibility<'a>(&'a self, k: &'a Intrinsics) -> impl Fn([f64; 2]) -> bool + 'a {
+        let fold = self.fold(largest_radius2(k));
+        move |[x, y]| {
+            let [x, y] = [(x - k.cx) / k.fx, (y - k.cy) / k.fy];
+            let [u, v] = self.distort([x, y]);
+            x * x + y * y < fold
+                && (0.0..=f64::from(k.width)).contains(&(k.fx * u + k.cx))
+                && (0.0..=f64::from(k.height)).contains(&(k.fy * v + k.cy))
+        }
+    }
+
     /// The pinhole image inside `crop` from a photograph with intrinsics `k`.
     pub(super) fn undistort(&self, image: &Image, k: &Intrinsics, crop: Crop) -> Image {
         if self.is_none() {
@@ -145,6 +200,26 @@ impl Distortion {
         Image::new(crop.width, crop.height, image.channels(), samples)
             .expect("one sample a channel was written for each pixel of a non-empty crop of an image")
     }
+}
+
+/// As [`Polynomial::fold`], from the sign of the projection's Jacobian along rays from the axis.
+fn fold_of(projection: &Projection, largest: f64) -> f64 {
+    const STEP: f64 = 1e-6;
+    let keeps_sides = |[x, y]: [f64; 2]| {
+        let difference = |a: [f64; 2], b: [f64; 2]| [a[0] - b[0], a[1] - b[1]];
+        let [xx, xy] = difference(projection.project([x + STEP, y]), projection.project([x - STEP, y]));
+        let [yx, yy] = difference(projection.project([x, y + STEP]), projection.project([x, y - STEP]));
+        xx * yy - xy * yx > 0.0 && xx + yy > 0.0
+    };
+    let ray = |radius: f64| {
+        let angles = (0..FOLD_DIRECTIONS)
+            .map(|index| std::f64::consts::TAU * f64::from(index) / f64::from(FOLD_DIRECTIONS));
+        angles.map(move |angle| [radius * angle.cos(), radius * angle.sin()])
+    };
+    (1..=PROJECTION_FOLD_STEPS)
+        .map(|step| largest.sqrt() * f64::from(step) / f64::from(PROJECTION_FOLD_STEPS))
+        .find(|radius| !ray(*radius).all(keeps_sides))
+        .map_or(f64::INFINITY, |radius| radius * radius)
 }
 
 /// Where in the photograph (pixel coordinates) the center of an undistorted pixel comes from.
@@ -209,7 +284,7 @@ mod tests {
     const K: Intrinsics = Intrinsics { fx: 90.0, fy: 95.0, cx: 66.0, cy: 45.0, width: 128, height: 96 };
 
     fn distortion(radial: [f64; 4], tangential: [f64; 2]) -> Distortion {
-        Distortion { radial, tangential }
+        Distortion::Polynomial(Polynomial { radial, tangential })
     }
 
     /// A smooth scene as a function of the direction of view.
@@ -262,6 +337,103 @@ mod tests {
             // Rounding twice and interpolating a pattern of about 90 pixels a period come to less than 2 of 255;
             // a sign error in any term is worth 10 and more.
             assert!(worst < 2.5, "{lens:?}: {worst}");
+        }
+    }
+
+    fn projections() -> [Distortion; 9] {
+        [
+            Projection::Rational { radial: [0.3, -0.05, 0.01, 0.35, 0.02, 0.0], tangential: [0.003, -0.002] },
+            Projection::Fov { omega: 0.9 },
+            Projection::Fov { omega: 0.0 },
+            Projection::Fisheye { radial: [0.0; 4] },
+            Projection::Fisheye { radial: [-0.03, 0.012, -0.004, 0.0008] },
+            Projection::ThinPrismFisheye {
+                radial: [-0.03, 0.012, 0.0, 0.0],
+                tangential: [0.002, -0.001],
+                prism: [0.0015, -0.0012],
+            },
+            Projection::RadTanThinPrismFisheye {
+                radial: [-0.03, 0.012, 0.0, 0.0, 0.0, 0.0],
+                tangential: [0.002, -0.001],
+                prism: [0.0015, -0.0003, -0.0012, 0.0002],
+            },
+            Projection::Division { k: -0.2 },
+            Projection::EnhancedUnified { alpha: 0.6, beta: 1.1 },
+        ]
+        .map(Distortion::Projection)
+    }
+
+    #[test]
+    fn undistorted_photographs_of_every_model_show_the_pinhole_scene() {
+        for lens in projections() {
+            let crop = lens.covered(&K).expect("a usual lens");
+            let lost = 1.0 - f64::from(crop.width * crop.height) / f64::from(K.width * K.height);
+            assert!(lost < 0.05, "{lens:?} loses {lost}");
+            let image = lens.undistort(&photograph(&lens), &K, crop);
+            let cropped = crop.of(K);
+            for row in 0..image.height() {
+                for column in 0..image.width() {
+                    let expected = scene(plane_point(&cropped, column, row));
+                    let at = (row as usize * image.width() as usize + column as usize) * 3;
+                    for (actual, expected) in image.samples()[at..at + 3].iter().zip(expected) {
+                        let difference = (f64::from(*actual) - expected).abs();
+                        assert!(difference < 4.0, "{lens:?} ({column}, {row}): {difference}");
+                    }
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn models_of_no_lens_are_refused() {
+        let lenses = [
+            Projection::Rational { radial: [0.0, 0.0, 0.0, -30.0, 0.0, 0.0], tangential: [0.0; 2] },
+            Projection::Rational { radial: [0.0; 6], tangential: [1e6, 0.0] },
+            Projection::Fov { omega: 4.0 },
+            Projection::Fov { omega: -1e300 },
+            Projection::Fisheye { radial: [-9.0, 0.0, 0.0, 0.0] },
+            Projection::Fisheye { radial: [1e308; 4] },
+            Projection::ThinPrismFisheye { radial: [0.0; 4], tangential: [0.0; 2], prism: [1e9, -1e9] },
+            Projection::RadTanThinPrismFisheye {
+                radial: [-1e300; 6],
+                tangential: [1e300; 2],
+                prism: [1e300; 4],
+            },
+            Projection::Division { k: 1e9 },
+            Projection::EnhancedUnified { alpha: 0.5, beta: -9.0 },
+            Projection::EnhancedUnified { alpha: -1e300, beta: 1e300 },
+        ];
+        for projection in lenses {
+            let lens = Distortion::Projection(projection);
+            assert!(matches!(lens.covered(&K), Err(IngestErrorKind::DistortionTooStrong)), "{lens:?}");
+        }
+    }
+
+    proptest::proptest! {
+        #[test]
+        fn arbitrary_models_never_panic(
+            kind in 0..7,
+            p in proptest::array::uniform12(proptest::prelude::any::<f64>()),
+        ) {
+            let [a, b, c, d, e, f, g, h, i, j, k, l] = p;
+            let projection = match kind {
+                0 => Projection::Rational { radial: [a, b, c, d, e, f], tangential: [g, h] },
+                1 => Projection::Fov { omega: a },
+                2 => Projection::Fisheye { radial: [a, b, c, d] },
+                3 => Projection::ThinPrismFisheye { radial: [a, b, c, d], tangential: [e, f], prism: [g, h] },
+                4 => Projection::Division { k: a },
+                5 => Projection::EnhancedUnified { alpha: a, beta: b },
+                _ => Projection::RadTanThinPrismFisheye {
+                    radial: [a, b, c, d, e, f],
+                    tangential: [g, h],
+                    prism: [i, j, k, l],
+                },
+            };
+            let lens = Distortion::Projection(projection);
+            if let Ok(crop) = lens.covered(&K) {
+                let image = Image::new(K.width, K.height, 3, vec![7; (K.width * K.height * 3) as usize]);
+                let _pixels = lens.undistort(&image.expect("an image"), &K, crop);
+            }
         }
     }
 

@@ -134,13 +134,23 @@ pub enum IngestErrorKind {
 
     /// None of the three layouts.
     #[error(
-        "no dataset was found: there is no transforms.json, no transforms_train.json and no sparse/0 \
-         with cameras and images (.bin or .txt), neither at the top nor in a single top-level folder{}",
-        photographs_alone(*photographs)
+        "no dataset was found: no folder has a transforms.json, a transforms_train.json, or cameras and images of COLMAP \
+         (.bin or .txt){}",
+        photographs_alone(*photographs, unread.as_ref())
     )]
     NoLayout {
         /// Photographs that are there.
         photographs: usize,
+        /// The format of others that are not read, and a command that converts them.
+        unread: Option<(&'static str, String)>,
+    },
+    /// More than one dataset.
+    #[error("there are {count} datasets, in {}: send one of them", several(*count, first))]
+    SeveralDatasets {
+        /// How many there are.
+        count: usize,
+        /// The folders of the first.
+        first: Vec<String>,
     },
     /// Too few photographs to find their cameras.
     #[error(
@@ -277,11 +287,21 @@ pub enum IngestErrorKind {
     AllHidden,
     /// A camera model without a pinhole equivalent here.
     #[error(
-        "{place}: camera model {model} is not supported; supported are SIMPLE_PINHOLE, PINHOLE, \
-         SIMPLE_RADIAL, RADIAL, OPENCV, and FULL_OPENCV without k4, k5 and k6. Undistort the images first \
-         (`colmap image_undistorter`)"
+        "{place}: camera model {model} is not supported; supported are those of COLMAP 4.2 and nerfstudio that show less than \
+         a half-space. Undistort the images first (`colmap image_undistorter`)"
     )]
     CameraModel {
+        /// Where in the file.
+        place: String,
+        /// The model as the file names it.
+        model: String,
+    },
+    /// A camera model of panoramas, or without a center.
+    #[error(
+        "{place}: {model} pictures show more than a perspective one can, which is what is trained on. Make perspective pictures \
+         of them first: COLMAP's `python/examples/panorama_sfm.py`, or `ns-process-data images --camera-type equirectangular`"
+    )]
+    Panorama {
         /// Where in the file.
         place: String,
         /// The model as the file names it.
@@ -359,6 +379,17 @@ pub enum IngestErrorKind {
     /// An image whose header or pixels cannot be decoded.
     #[error("is not a readable PNG, JPEG or WebP image: {0}")]
     Image(String),
+    /// An image of a known format that is not read.
+    #[error(
+        "is {} {format} image, which is not read; convert the photographs to PNG or JPEG (`{remedy}`). Tables may keep the old names",
+        if matches!(*format, "TIFF" | "BMP" | "GIF" | "JPEG XL" | "HEIC") { "a" } else { "an" }
+    )]
+    UnreadFormat {
+        /// The format.
+        format: &'static str,
+        /// A command that converts such files.
+        remedy: String,
+    },
     /// An image whose header cannot be found near its beginning.
     #[error(
         "no PNG, JPEG or WebP header ends within its first {limit} bytes ({message}); if the image opens elsewhere, remove \
@@ -452,6 +483,12 @@ pub enum MissingHint {
     /// There is a file whose name differs in the extension.
     #[error("there is '{0}': extensions must match")]
     Extension(String),
+    /// There is a file of that name in a format that is not read.
+    #[error("there is '{0}', which is {1}: convert it to PNG or JPEG, `{2}`; tables may keep the old names")]
+    Format(String, &'static str, String),
+    /// There are several files of that name.
+    #[error("there are {0} images called '{1}', and nothing tells which is meant")]
+    Places(usize, String),
     /// The archive's names are not text that can be compared.
     #[error(
         "names in this zip are in a local code page, or at least not marked as UTF-8, so letters beyond ASCII do not match; make \
@@ -506,12 +543,14 @@ impl IngestErrorKind {
             | Self::TrailingBytes(_)
             | Self::Record { .. } => ProblemType::TableRejected,
             Self::CameraModel { .. }
+            | Self::Panorama { .. }
             | Self::Camera { .. }
             | Self::Implausible { .. }
             | Self::NonFiniteDistortion { .. }
             | Self::DistortionTooStrong => ProblemType::CameraRejected,
             Self::Ply(_) => ProblemType::PointsRejected,
             Self::Image(_)
+            | Self::UnreadFormat { .. }
             | Self::ImageHeader { .. }
             | Self::ImageSize { .. }
             | Self::ImageRotated { .. } => ProblemType::ImageRejected,
@@ -519,16 +558,17 @@ impl IngestErrorKind {
             Self::NoLayout { .. }
             | Self::SeveralVideos
             | Self::NotAVideo
+            | Self::SeveralDatasets { .. }
             | Self::MissingFile(_)
             | Self::MissingImages { .. }
             | Self::NoImages
             | Self::DuplicateName(_)
             | Self::UnknownFrame { .. }
-            | Self::Masks { .. }
             | Self::MissingMask { .. }
             | Self::NoMaskMatches { .. }
             | Self::NoMaskFolder { .. }
             | Self::AmbiguousMask
+            | Self::Masks { .. }
             | Self::TooManyMasks { .. }
             | Self::MaskSize { .. }
             | Self::AllHidden => ProblemType::DatasetRejected,
@@ -566,22 +606,33 @@ pub(super) fn shown(name: &str) -> String {
 }
 
 /// Advice where photographs have no cameras.
-fn photographs_alone(photographs: usize) -> String {
-    match photographs {
-        0 => String::new(),
+fn photographs_alone(photographs: usize, unread: Option<&(&'static str, String)>) -> String {
+    match (photographs, unread) {
+        (0, None) => String::new(),
+        (0, Some((format, remedy))) => {
+            format!(". Its {format} images are not read; convert them to PNG or JPEG (`{remedy}`)")
+        }
         _ => format!(
             ". The cameras of its {photographs} photographs can be found: tcgs poses FOLDER -o DATASET"
         ),
     }
 }
 
+/// The first names, and how many there are besides.
+pub(super) fn several(count: usize, first: &[String]) -> String {
+    let more = count.saturating_sub(first.len());
+    let named = first.join(", ");
+    if more == 0 { named } else { format!("{named} and {more} more") }
+}
+
 fn missing_images(count: usize, listed: usize, first: &[String], hint: Option<&MissingHint>) -> String {
-    let mut text = format!("{count} of the {listed} images listed here are missing: {}", first.join(", "));
-    if count > first.len() {
-        text.push_str(&format!(" and {} more", count - first.len()));
-    }
+    let mut text =
+        format!("{count} of the {listed} images listed here are missing: {}", several(count, first));
     if let Some(hint) = hint {
         text.push_str(&format!(" ({hint})"));
+    }
+    if count < listed {
+        text.push_str(". To go on without them, set skip_missing=true (--skip-missing)");
     }
     text
 }
@@ -617,7 +668,7 @@ mod tests {
         assert_eq!(
             missing_images(5, 9, &first, Some(&MissingHint::Case("A.png".to_owned()))),
             "5 of the 9 images listed here are missing: a.png, b.png and 3 more (there is 'A.png': upper \
-             and lower case must match)"
+             and lower case must match). To go on without them, set skip_missing=true (--skip-missing)"
         );
     }
 }

@@ -74,7 +74,13 @@ pub(super) struct CameraFields {
     pub(super) k6: Option<f64>,
     pub(super) p1: Option<f64>,
     pub(super) p2: Option<f64>,
+    /// Of FISHEYE624; `None` inside if they are not 12 numbers.
+    pub(super) distortion_params: Option<Parameters>,
 }
+
+/// The twelve parameters of FISHEYE624: k0 to k5, p0, p1, s0 to s3; `None` for another number.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Parameters(pub(super) Option<[f64; 12]>);
 
 /// Rows of numbers; `None` if they are no matrix of 4 rows (or 3) of 4 numbers.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -113,6 +119,7 @@ enum Field {
     K6,
     P1,
     P2,
+    DistortionParams,
     #[serde(other)]
     Other,
 }
@@ -131,6 +138,10 @@ impl CameraFields {
             }
             Field::IsFisheye => {
                 self.is_fisheye = map.next_value()?;
+                return Ok(None);
+            }
+            Field::DistortionParams => {
+                self.distortion_params = map.next_value()?;
                 return Ok(None);
             }
             Field::FlX => &mut self.fl_x,
@@ -408,7 +419,7 @@ fn gathered<'de, D: Deserializer<'de>, T: Deserialize<'de>>(
 
 impl<'de> Deserialize<'de> for Matrix {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        let rows = UpToFour::<UpToFour<f64>>::deserialize(deserializer)?;
+        let rows = UpTo::<UpTo<f64, 4>, 4>::deserialize(deserializer)?;
         if !(3..=4).contains(&rows.count) || rows.values[..rows.count].iter().any(|row| row.count != 4) {
             return Ok(Self(None));
         }
@@ -420,26 +431,39 @@ impl<'de> Deserialize<'de> for Matrix {
     }
 }
 
-/// The first four elements of an array, and how many there were.
-#[derive(Clone, Copy, Default)]
-struct UpToFour<T> {
-    values: [T; 4],
+impl<'de> Deserialize<'de> for Parameters {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        let UpTo { values, count } = UpTo::<f64, 12>::deserialize(deserializer)?;
+        Ok(Self((count == values.len()).then_some(values)))
+    }
+}
+
+/// The first elements of an array, and how many there were.
+#[derive(Clone, Copy)]
+struct UpTo<T, const N: usize> {
+    values: [T; N],
     count: usize,
 }
 
-impl<'de, T: Deserialize<'de> + Default + Copy> Deserialize<'de> for UpToFour<T> {
-    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        struct Elements<T>(std::marker::PhantomData<T>);
+impl<T: Default + Copy, const N: usize> Default for UpTo<T, N> {
+    fn default() -> Self {
+        Self { values: [T::default(); N], count: 0 }
+    }
+}
 
-        impl<'de, T: Deserialize<'de> + Default + Copy> Visitor<'de> for Elements<T> {
-            type Value = UpToFour<T>;
+impl<'de, T: Deserialize<'de> + Default + Copy, const N: usize> Deserialize<'de> for UpTo<T, N> {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        struct Elements<T, const N: usize>(std::marker::PhantomData<T>);
+
+        impl<'de, T: Deserialize<'de> + Default + Copy, const N: usize> Visitor<'de> for Elements<T, N> {
+            type Value = UpTo<T, N>;
 
             fn expecting(&self, f: &mut fmt::Formatter) -> fmt::Result {
                 f.write_str("rows of numbers")
             }
 
-            fn visit_seq<A: SeqAccess<'de>>(self, mut sequence: A) -> Result<UpToFour<T>, A::Error> {
-                let mut sized = UpToFour { values: [T::default(); 4], count: 0 };
+            fn visit_seq<A: SeqAccess<'de>>(self, mut sequence: A) -> Result<UpTo<T, N>, A::Error> {
+                let mut sized = UpTo::default();
                 while let Some(value) = sequence.next_element()? {
                     if let Some(place) = sized.values.get_mut(sized.count) {
                         *place = value;

@@ -11,6 +11,7 @@ use image::{
 
 use super::{
     error::{IngestError, IngestErrorKind, Result},
+    formats,
     limits::Limits,
     tree::Tree,
 };
@@ -85,6 +86,12 @@ pub(super) fn header(tree: &Tree, name: &str, limits: &Limits) -> Result<Header,
         }
         known => known,
     }
+    .map_err(|error| match (error, formats::by_content(&head)) {
+        (IngestErrorKind::Image(_) | IngestErrorKind::ImageHeader { .. }, Some(format)) => {
+            IngestErrorKind::UnreadFormat { format: format.name, remedy: format.remedy(name) }
+        }
+        (error, _) => error,
+    })
     .map_err(|error| error.at(name))?;
     let pixels = header.pixels();
     if pixels > limits.image_pixels {

@@ -1,9 +1,11 @@
 //! Reads a dataset from a zip archive or a directory into a checked [`Dataset`].
 //!
-//! In order: `tree` lists files by safe names (from `folder`, or `archive` behind `end_record`) within `limits`; `transforms` (with
-//! `bounded_json` and `fields`) or `colmap` reads the tables into a `plan` of frames, lenses and poses; `survey` reads image headers and
-//! computes the final cameras; `images`, `orientation`, `distortion` and `sampling` produce the pixels; `mask_search` (with `masks`) and
-//! `mask_reader` (with `mask_pixels`) find masks and read them. `unused` sees to it that nothing in a dataset is left out in silence.
+//! In order: `tree` lists files by safe names (from `folder`, or `archive` behind `end_record`) within `limits`; `roots` finds the
+//! dataset's folder; `transforms` (with `bounded_json` and `fields`) or `colmap` reads the tables into a `plan` of frames, lenses and poses,
+//! whose files `image_files` finds; `survey` reads image headers and computes the final cameras; `images`, `orientation`, `distortion` (with
+//! `projection` and `valid_region`) and `sampling` produce the pixels; `mask_search` (with `masks`) and `mask_reader` (with `mask_pixels`)
+//! find masks and read them. `unused` sees to it that nothing in a dataset is left out in silence. `unposed` checks photographs, or a
+//! video, that no file says the cameras of.
 //!
 //! Memory is bounded by a [`LoadBudget`]: as many photographs are decoded in parallel as it allows, they stay in memory as long as they
 //! fit, and the others go to a temporary file (`spill`).
@@ -26,6 +28,8 @@ mod error;
 mod fields;
 mod finish;
 mod folder;
+mod formats;
+mod image_files;
 mod images;
 mod lens;
 mod limits;
@@ -39,7 +43,9 @@ mod pack;
 mod plan;
 mod ply;
 mod points;
+mod projection;
 mod provenance;
+mod roots;
 mod sampling;
 mod semaphore;
 mod source;
@@ -51,6 +57,7 @@ mod transforms;
 mod tree;
 mod unposed;
 mod unused;
+mod valid_region;
 mod video;
 
 #[cfg(test)]
@@ -59,6 +66,8 @@ mod fixtures;
 mod mask_tests;
 #[cfg(test)]
 mod report_tests;
+#[cfg(test)]
+mod sent_tests;
 #[cfg(test)]
 mod tests;
 
@@ -226,6 +235,10 @@ fn load_tree(
                 return Err(IngestErrorKind::Stopped.into());
             }
             let (image, mask) = store.photograph(&tree, &view, limits)?;
+            let mask = match (mask, view.valid_pixels()) {
+                (Some(mask), Some(valid)) => mask.and(&valid),
+                (mask, valid) => mask.or(valid),
+            };
             Ok(Frame { name: view.frame.name, camera: view.camera, image, mask, split: view.frame.split })
         })
         .collect();
@@ -312,7 +325,7 @@ impl Store {
 /// # Errors
 /// The first error, in the order of names.
 pub fn check_within(path: &Path, limits: &Limits) -> Result<DatasetSummary, IngestError> {
-    check_by(Deadline::NONE, path, limits)
+    check_by(Deadline::NONE, path, limits, &ReadOptions::default())
 }
 
 fn survey_for(
@@ -326,10 +339,14 @@ fn survey_for(
     Ok(survey(tree, limits, options).map_err(|error| faults.or(error))?.1)
 }
 
-fn check_by(deadline: Deadline, path: &Path, limits: &Limits) -> Result<DatasetSummary, IngestError> {
+fn check_by(
+    deadline: Deadline,
+    path: &Path,
+    limits: &Limits,
+    reading: &ReadOptions,
+) -> Result<DatasetSummary, IngestError> {
     // No pixel is decoded: the memory of a check has a bound that one photograph exceeds.
-    let options =
-        SurveyOptions { reading: ReadOptions::default(), decode_bytes: 0, should_continue: &|| true };
+    let options = SurveyOptions { reading: reading.clone(), decode_bytes: 0, should_continue: &|| true };
     match survey_for(Purpose::Check(deadline), path, limits, &options) {
         Ok(survey) => Ok(survey.summary()),
         Err(error) if is_without_layout(&error) => unposed::check(deadline, path, limits),

@@ -10,7 +10,7 @@ use unicode_normalization::{IsNormalized, UnicodeNormalization as _, is_nfc_quic
 use super::error::{IngestErrorKind, Result};
 
 /// Longest accepted name in bytes, the usual `PATH_MAX`.
-const MAX_NAME_BYTES: usize = 4096;
+pub(super) const MAX_NAME_BYTES: usize = 4096;
 
 /// `name` as a relative path with `/` between its parts and without a leading `./`.
 ///

@@ -1,24 +1,17 @@
 //! The common result of all layouts: frames with lenses, poses and image files, before any image is opened.
 
-use std::{collections::BTreeSet, sync::Arc};
+use std::{
+    collections::{BTreeMap, BTreeSet},
+    sync::Arc,
+};
 
 use super::{
-    error::{IngestError, IngestErrorKind, MissingHint, Result},
-    images::is_image_name,
+    error::{IngestError, IngestErrorKind, Result},
     lens::Lens,
     limits::Limits,
-    names::{portable, safe_name},
     points::Points,
-    source::NameEncoding,
-    tree::Tree,
 };
-use crate::domain::{
-    Layout, Pose, Split,
-    dataset::{HOLD_OUT_EVERY, IMAGE_EXTENSIONS, without_extension},
-};
-
-/// How many missing images a message names.
-const MAX_MISSING_SHOWN: usize = 5;
+use crate::domain::{Layout, Pose, Split, dataset::HOLD_OUT_EVERY};
 
 /// A dataset as its tables state it.
 pub(super) struct Plan {
@@ -34,6 +27,10 @@ pub(super) struct Plan {
     /// Files that are not used and that a note explains.
     pub(super) noted: BTreeSet<String>,
     pub(super) notes: Vec<String>,
+    /// Frames that are not called as their table calls them, by the normal form of the stated path.
+    pub(super) aliases: BTreeMap<String, String>,
+    /// Listed images that are missing, by the normal form of the stated path.
+    pub(super) missing: BTreeSet<String>,
 }
 
 /// How much a table has listed so far.
@@ -112,6 +109,8 @@ impl Plan {
             listings: Vec::new(),
             noted: BTreeSet::new(),
             notes: Vec::new(),
+            aliases: BTreeMap::new(),
+            missing: BTreeSet::new(),
         }
     }
 
@@ -176,84 +175,4 @@ impl Plan {
 /// The folder of a file, without the slash behind it; empty at the top.
 pub(super) fn folder_of(name: &str) -> &str {
     name.rsplit_once('/').map_or("", |(folder, _)| folder)
-}
-
-/// Finds the image files that a table lists and collects those that are missing.
-pub(super) struct ImageFiles<'a> {
-    tree: &'a Tree,
-    listing: &'a str,
-    listed: usize,
-    missing: usize,
-    first_missing: Vec<String>,
-}
-
-impl<'a> ImageFiles<'a> {
-    /// For the images listed in the file `listing`.
-    pub(super) fn new(tree: &'a Tree, listing: &'a str) -> Self {
-        Self { tree, listing, listed: 0, missing: 0, first_missing: Vec::new() }
-    }
-
-    /// The frame's name and the file under `folder` ("" or ending in a slash) that `stated` means: that name, or with an image extension added.
-    /// `None` if there is none; [`ImageFiles::finish`] reports it.
-    ///
-    /// # Errors
-    /// [`IngestErrorKind::Field`] (at `place`) if the name is unsafe, [`IngestErrorKind::NotARegularFile`] if it is behind a link.
-    pub(super) fn find(
-        &mut self,
-        folder: &str,
-        stated: &str,
-        place: &str,
-    ) -> Result<Option<(String, String)>, IngestError> {
-        let portable = portable(stated);
-        let name = safe_name(&portable).map_err(|error| {
-            IngestErrorKind::Field { pointer: place.to_owned(), message: format!("'{stated}': {error}") }
-                .at(self.listing)
-        })?;
-        self.listed += 1;
-        let exact = format!("{folder}{name}");
-        if let Some(link) = self.tree.special_on_path(&exact) {
-            return Err(link);
-        }
-        let with_extensions = IMAGE_EXTENSIONS.iter().flat_map(|extension| {
-            [format!("{exact}.{extension}"), format!("{exact}.{}", extension.to_uppercase())]
-        });
-        let mut names = std::iter::once(exact.clone()).chain(with_extensions);
-        let found = names.find_map(|name| self.tree.find(&name).map(str::to_owned));
-        if found.is_none() {
-            self.missing += 1;
-            if self.first_missing.len() < MAX_MISSING_SHOWN {
-                self.first_missing.push(exact);
-            }
-        }
-        Ok(found.map(|file| (name.to_owned(), file)))
-    }
-
-    /// Ends the search.
-    ///
-    /// # Errors
-    /// [`IngestErrorKind::MissingImages`] if any was missing.
-    pub(super) fn finish(self) -> Result<(), IngestError> {
-        let Some(first) = self.first_missing.first() else { return Ok(()) };
-        let hint = self.hint(first);
-        Err(IngestErrorKind::MissingImages {
-            count: self.missing,
-            listed: self.listed,
-            first: self.first_missing,
-            hint,
-        }
-        .at(self.listing))
-    }
-    /// Why a file may be missing.
-    fn hint(&self, missing: &str) -> Option<MissingHint> {
-        if self.tree.name_encoding() != NameEncoding::Utf8 && !missing.is_ascii() {
-            return Some(MissingHint::CodePage);
-        }
-        let stem = |name: &str| without_extension(name).to_owned();
-        let wanted = stem(missing);
-        let by_case = self.tree.names().find(|name| name.eq_ignore_ascii_case(missing));
-        let by_stem = || self.tree.names().find(|name| is_image_name(name) && stem(name) == wanted);
-        by_case
-            .map(|name| MissingHint::Case(name.to_owned()))
-            .or_else(|| by_stem().map(|name| MissingHint::Extension(name.to_owned())))
-    }
 }

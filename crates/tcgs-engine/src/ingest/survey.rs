@@ -3,7 +3,10 @@
 //! Pixels are decoded only to decide about EXIF orientations that sizes do not decide ([`super::orientation`]), and only within
 //! [`SurveyOptions::decode_bytes`].
 
-use std::collections::BTreeMap;
+use std::{
+    collections::BTreeMap,
+    sync::{Arc, OnceLock},
+};
 
 use glam::DVec3;
 use image::metadata::Orientation;
@@ -21,9 +24,10 @@ use super::{
     orientation::{Comparison, Decision, Evidence, EvidenceCounts, MAX_COMPARED, Reading, Unknown, evidence},
     plan::{Plan, PlannedFrame},
     points::Points,
-    provenance, transforms,
+    provenance, roots, transforms,
     tree::Tree,
-    unused::{Taken, note_unused},
+    unused::{Taken, note_outside, note_unused},
+    valid_region::{self, Kept},
 };
 use crate::domain::{
     Camera, DatasetSummary, Image, Intrinsics, Layout, NamedCamera, PixelMask, PointCloud, ReadOptions, Split,
@@ -91,6 +95,12 @@ impl Survey {
     }
 }
 
+/// The pixels that a lens saw, computed once they are wanted.
+type ValidPixels = Arc<OnceLock<PixelMask>>;
+
+/// A lens by its index, and the width and height of an image of it.
+type LensAndSize = (usize, (u32, u32));
+
 /// One frame and how its image is processed.
 pub(super) struct SurveyedFrame {
     pub(super) frame: PlannedFrame,
@@ -106,6 +116,8 @@ pub(super) struct SurveyedFrame {
     crop: Crop,
     /// The masks, and what they mean.
     pub(super) masks: FrameMasks,
+    /// The pixels that the lens saw, computed once for all photographs of a camera and size; `None` if it saw all.
+    valid: Option<ValidPixels>,
 }
 
 /// Bytes a pixel of an image in single precision, as the filter that downscales works on it.
@@ -151,6 +163,13 @@ impl SurveyedFrame {
         plane.downscaled(finished.width, finished.height).mask()
     }
 
+    /// The pixels of the finished image that the lens saw; `None` if it saw all.
+    pub(super) fn valid_pixels(&self) -> Option<PixelMask> {
+        let size = (self.camera.intrinsics.width, self.camera.intrinsics.height);
+        let compute = || valid_region::valid_pixels(&self.distortion, &self.stored, size);
+        self.valid.as_ref().map(|valid| valid.get_or_init(compute).clone())
+    }
+
     /// The finished image from the stored and turned one.
     ///
     /// # Errors
@@ -176,7 +195,7 @@ impl SurveyedFrame {
     }
 }
 
-/// Surveys the dataset in `tree`, whose root may be its only top-level folder.
+/// Surveys the dataset in `tree`, which becomes the tree of its folder.
 ///
 /// # Errors
 /// The first error by the order of names.
@@ -185,22 +204,18 @@ pub(super) fn survey(
     limits: &Limits,
     options: &SurveyOptions,
 ) -> Result<(Tree, Survey), IngestError> {
-    let plan = match plan(&tree) {
-        None if tree.enter_only_folder() => plan(&tree),
-        plan => plan,
-    }
-    .ok_or_else(|| {
-        let photographs = tree.names().filter(|name| images::is_image_name(name)).count();
-        IngestErrorKind::NoLayout { photographs }
-    })??;
+    let root = roots::find(&tree)?;
+    let outside = if root.is_empty() { Vec::new() } else { tree.enter(&root) };
+    let plan = plan(&tree, &options.reading)?;
     let masks = find_masks(&tree, &plan, &options.reading.masks)?;
-    let Plan { layout, lenses, frames, points, listed, listings, mut noted, mut notes } = plan;
+    let Plan { layout, lenses, frames, points, listed, listings, mut noted, mut notes, .. } = plan;
     noted.extend(masks.of_frames.iter().flatten().cloned());
     notes.extend(provenance::note(&tree));
     let taken = Taken { listed: &listed, noted: &noted, listings: &listings };
+    note_outside(&root, &outside, &mut notes);
     note_unused(&tree, &taken, &mut notes);
 
-    let mut surveyor = Surveyor { lenses, crops: BTreeMap::new() };
+    let mut surveyor = Surveyor { lenses, kept: BTreeMap::new() };
     let headers = Headers::read(&tree, &frames, limits, options);
     let mut counts = EvidenceCounts::default();
     let evidence: Vec<Evidence> = frames
@@ -240,6 +255,7 @@ pub(super) fn survey(
             Evidence::None => decision.map_or(Reading::Stored, Decision::reading),
         };
         let stated = surveyor.lenses[frame.lens].size;
+        tree.check_time().map_err(|error| error.at(&frame.file))?;
         let mut view = surveyor.view(frame, header, reading)?;
         view.masks = mask_reader.of_frame(masks, header, view.stored_size(), view.turn)?;
         with_alpha += usize::from(header.alpha);
@@ -288,8 +304,8 @@ impl Headers {
 /// Computes the final camera of each frame.
 struct Surveyor {
     lenses: Vec<Lens>,
-    /// What is covered of images by lens and size.
-    crops: BTreeMap<(usize, (u32, u32)), Crop>,
+    /// What is kept of images by lens and size, and the valid pixels where there are others.
+    kept: BTreeMap<LensAndSize, (Crop, Option<ValidPixels>)>,
 }
 
 impl Surveyor {
@@ -307,12 +323,14 @@ impl Surveyor {
         let lens = &self.lenses[frame.lens];
         let (file, distortion) = (frame.file.clone(), lens.distortion);
         let stored = lens.intrinsics(size).map_err(|error| error.at(&file))?;
-        let crop = match self.crops.get(&(frame.lens, size)) {
-            Some(crop) => *crop,
+        let (crop, valid) = match self.kept.get(&(frame.lens, size)) {
+            Some(kept) => kept.clone(),
             None => {
-                let crop = distortion.covered(&stored).map_err(|error| error.at(&file))?;
-                self.crops.insert((frame.lens, size), crop);
-                crop
+                let Kept { crop, is_masked } =
+                    valid_region::kept(&distortion, &stored).map_err(|error| error.at(&file))?;
+                let kept = (crop, is_masked.then(Arc::default));
+                self.kept.insert((frame.lens, size), kept.clone());
+                kept
             }
         };
         let finished = for_training(crop.of(stored));
@@ -330,7 +348,7 @@ impl Surveyor {
         }
         let (turn, alpha) = (reading.turn(header), header.alpha);
         let masks = FrameMasks::default();
-        Ok(SurveyedFrame { frame, camera, turn, stored, alpha, distortion, crop, masks })
+        Ok(SurveyedFrame { frame, camera, turn, stored, alpha, distortion, crop, masks, valid })
     }
 }
 
@@ -415,16 +433,17 @@ fn distance_note(views: &[SurveyedFrame]) -> Option<String> {
     ))
 }
 
-/// The plan by whichever layout the files are in; `None` if in none. `transforms.json` states its own cameras, so
-/// it takes precedence over a reconstruction beside it; the Blender files also state the split, so they go first.
-fn plan(tree: &Tree) -> Option<Result<Plan, IngestError>> {
+/// The plan by whichever layout the files are in. `transforms.json` states its own cameras, so it takes precedence over a reconstruction
+/// beside it; the Blender files also state the split, so they go first.
+fn plan(tree: &Tree, read: &ReadOptions) -> Result<Plan, IngestError> {
     if tree.has(transforms::TRAIN) {
-        return Some(transforms::blender(tree));
+        return transforms::blender(tree, read);
     }
     if tree.has(transforms::TRANSFORMS) {
-        return Some(transforms::nerfstudio(tree));
+        return transforms::nerfstudio(tree, read);
     }
-    colmap::detect(tree).map(|choice| colmap::plan(tree, choice))
+    let choice = colmap::detect(tree).ok_or(IngestErrorKind::NoLayout { photographs: 0, unread: None })?;
+    colmap::plan(tree, choice, read)
 }
 
 /// Intrinsics of the image as it is trained on: at most [`Limits::TRAINING_WIDTH`] wide, the height rounded down.
@@ -442,6 +461,9 @@ fn for_training(k: Intrinsics) -> Intrinsics {
 struct Changes {
     smaller_than_stated: usize,
     undistorted: usize,
+    /// The largest angle from the axis, in degrees, of the pictures of lenses that may be wide.
+    angle: Option<f64>,
+    masked: usize,
     cropped: Option<((u32, u32), (u32, u32))>,
     downscaled: usize,
 }
@@ -452,6 +474,11 @@ impl Changes {
         let (stored, crop) = (&view.stored, (view.crop.width, view.crop.height));
         self.smaller_than_stated += usize::from(stated.is_some_and(|stated| stated != size(stored)));
         self.undistorted += usize::from(!view.distortion.is_none());
+        self.masked += usize::from(view.valid.is_some());
+        if matches!(view.distortion, Distortion::Projection(_)) {
+            let angle = corner_angle(&view.camera.intrinsics);
+            self.angle = Some(self.angle.map_or(angle, |largest| largest.max(angle)));
+        }
         if self.cropped.is_none() && size(stored) != crop {
             self.cropped = Some((size(stored), crop));
         }
@@ -469,7 +496,16 @@ impl Changes {
             let crop = self.cropped.map_or_else(String::new, |((w, h), (to_w, to_h))| {
                 format!(", cropped to what the lens saw ({w}x{h} to {to_w}x{to_h})")
             });
-            notes.push(format!("images undistorted: {}{crop}", self.undistorted));
+            let angle = self.angle.map_or_else(String::new, |angle| {
+                format!("; at the stated focal length, the corners are {angle:.0} degrees from the axis")
+            });
+            notes.push(format!("images undistorted: {}{crop}{angle}", self.undistorted));
+        }
+        if self.masked > 0 {
+            notes.push(format!(
+                "images with borders that the lens did not see: {}; these are neither learnt nor measured",
+                self.masked
+            ));
         }
         if self.downscaled > 0 {
             notes.push(format!(
@@ -479,6 +515,12 @@ impl Changes {
             ));
         }
     }
+}
+
+/// The angle of the farthest corner from the axis, in degrees.
+fn corner_angle(k: &Intrinsics) -> f64 {
+    let far = |center: f64, side: u32, focal: f64| center.abs().max((f64::from(side) - center).abs()) / focal;
+    far(k.cx, k.width, k.fx).hypot(far(k.cy, k.height, k.fy)).atan().to_degrees()
 }
 
 #[cfg(test)]

@@ -99,7 +99,7 @@ fn paths_and_sides_are_understood_as_exporters_on_windows_write_them() {
         "whole number",
     );
     assert_refused(
-        &blender().edited("transforms_train.json", "./train/r_0", r"..\\train\\r_0"),
+        &blender().edited("transforms_train.json", "./train/r_0", r"..\\train\\.."),
         "transforms_train.json",
         "..",
     );
@@ -287,8 +287,16 @@ fn faults_of_transforms_files_are_refused_by_file_and_cause() {
         ("9.0", "1e999", "number out of range"),
         ("9.0", "\"9\"", "invalid type"),
         ("\"fl_x\": 9.0, ", "", "neither fl_x nor camera_angle_x"),
-        ("\"OPENCV\"", "\"OPENCV_FISHEYE\"", "camera model OPENCV_FISHEYE is not supported"),
-        ("\"OPENCV\"", "\"PINHOLE\", \"is_fisheye\": true", "fisheye"),
+        ("\"OPENCV\"", "\"ORTHOPHOTO\"", "camera model ORTHOPHOTO is not supported"),
+        (
+            "\"OPENCV\"",
+            "\"EQUIRECTANGULAR\"",
+            "/frames/0: EQUIRECTANGULAR pictures show more than a perspective one",
+        ),
+        ("\"OPENCV\"", "\"VR180_L\"", "ns-process-data images --camera-type equirectangular"),
+        ("\"OPENCV\"", "\"FISHEYE624\"", "/frames/0: FISHEYE624 needs the 12 numbers of distortion_params"),
+        ("\"OPENCV\"", "\"FISHEYE624\", \"distortion_params\": [0, 0]", "needs the 12 numbers"),
+        ("\"OPENCV\"", "\"OPENCV_FISHEYE\", \"k4\": -1e9", "less than half"),
         ("\"w\": 8", "\"w\": 8.5", "w is 8.5"),
         ("\"w\": 8", "\"w\": -8", "w is -8"),
         ("\"w\": 8, ", "", "only one of w and h"),
@@ -304,10 +312,11 @@ fn faults_of_transforms_files_are_refused_by_file_and_cause() {
         ("[0,0,0,1]]", "[0,0,0,2]]", "the last row of the pose"),
         ("images/1.png", "images/0.png", "'images/0.png' is listed twice"),
         ("images/1.png", "images/0", "'images/0.png' is listed twice"),
-        ("images/1.png", "../1.png", "/frames/1/file_path: '../1.png': the name is not safe"),
-        ("images/1.png", "/etc/1.png", "absolute path"),
+        ("images/1.png", "../..", "/frames/1/file_path: '../..': the name is not safe"),
+        ("images/1.png", "/etc/", "absolute path"),
+        ("images/1.png", "../x.png", "1 of the 9 images listed here are missing: ../x.png"),
         ("images/1.png", "images/x.png", "1 of the 9 images listed here are missing: images/x.png"),
-        ("images/1.png", "Images/1.png", "(there is 'images/1.png': upper and lower case must match)"),
+        ("images/1.png", "images/1.Png", "(there is 'images/1.png': upper and lower case must match)"),
         ("\"frames\": [", "\"frames\": [], \"other\": [", "no images to train on"),
         ("\"frames\"", "\"other\"", "missing field `frames`"),
         ("\"k1\": 0.0", "\"k1\": 1e308", "less than half"),
@@ -324,7 +333,7 @@ fn faults_of_transforms_files_are_refused_by_file_and_cause() {
         "transforms_test.json",
         "focal length",
     );
-    assert_refused(&blender().without("test/r_0.png"), "transforms_test.json", "missing: test/r_0");
+    assert_refused(&blender().without("train/r_1.png"), "transforms_train.json", "missing: train/r_1");
     assert_refused(
         &blender().without("transforms_train.json").with("transforms.json", "[]"),
         FILE,
@@ -335,17 +344,24 @@ fn faults_of_transforms_files_are_refused_by_file_and_cause() {
 #[test]
 fn faults_of_colmap_tables_are_refused_by_file_and_cause() {
     for (table, from, to, words) in [
+        ("cameras.txt", "PINHOLE", "SPHERE", "camera 1: camera model SPHERE is not supported"),
         (
             "cameras.txt",
-            "PINHOLE",
-            "OPENCV_FISHEYE",
-            "camera 1: camera model OPENCV_FISHEYE is not supported",
+            "PINHOLE 8 6 9 9.5 4.25 3",
+            "EQUIRECTANGULAR 8 6 8 6",
+            "camera 1: EQUIRECTANGULAR pictures show",
         ),
         (
             "cameras.txt",
             "PINHOLE 8 6 9 9.5 4.25 3",
-            "FULL_OPENCV 8 6 9 9 4 3 0 0 0 0 0 .1 0 0",
-            "with k4, k5 or k6",
+            "OPENCV_FISHEYE 8 6 9 9.5 4.25 3 nan 0 0 0",
+            "camera 1: a distortion coefficient is not finite",
+        ),
+        (
+            "cameras.txt",
+            "PINHOLE 8 6 9 9.5 4.25 3",
+            "EUCM 8 6 9 9.5 4.25 3 0.5 inf",
+            "camera 1: a distortion coefficient is not finite",
         ),
         ("cameras.txt", "8 6 9 9.5", "8 6 0 9.5", "camera 1: the focal length is 0"),
         ("cameras.txt", "8 6 9 9.5", "8 6 nan 9.5", "camera 1: the focal length is NaN"),
@@ -355,7 +371,7 @@ fn faults_of_colmap_tables_are_refused_by_file_and_cause() {
         ("images.txt", "4 1 0.png", "nan 1 0.png", "image 1: the pose has a non-finite entry"),
         ("images.txt", "4 1 0.png", "4 2 0.png", "image 1: there is no camera 2"),
         ("images.txt", "0.png", "1.png", "'1.png' is listed twice"),
-        ("images.txt", "0.png", "../images/0.png", "image 1: '../images/0.png': the name is not safe"),
+        ("images.txt", "0.png", "../images/..", "image 1: '../images/..': the name is not safe"),
         ("images.txt", "0.png", "z.png", "1 of the 9 images listed here are missing: images/z.png"),
         ("points3D.txt", "1 1 2 3", "1 1 nan 3", "point 1: the position is not finite"),
     ] {
@@ -363,11 +379,6 @@ fn faults_of_colmap_tables_are_refused_by_file_and_cause() {
         assert_refused(&colmap().edited(&file, from, to), &file, words);
     }
     assert_refused(&colmap().without("sparse/0/images.txt"), "sparse/0/images.txt", "the file is missing");
-    assert_refused(
-        &colmap().without("sparse/0/points3D.txt"),
-        "sparse/0/points3D.txt",
-        "the file is missing",
-    );
     assert_refused(&colmap().with("sparse/0/images.txt", "# none\n"), "sparse/0/images.txt", "no images");
     assert_refused(&colmap().with("sparse/0/images.txt", [0xff]), "sparse/0/images.txt", "not UTF-8");
 }
@@ -378,6 +389,10 @@ fn a_model_of_known_cameras_without_points_starts_from_random_ones() {
     let dataset = load(&set.path).expect("a dataset");
     assert!(dataset.points.is_none());
     assert_eq!(dataset.notes, ["sparse/0/points3D.txt has no points: training starts from random ones"]);
+    let set = colmap().without("sparse/0/points3D.txt").directory();
+    let dataset = load(&set.path).expect("a dataset");
+    assert!(dataset.points.is_none());
+    assert_eq!(dataset.notes, ["there is no sparse/0/points3D.txt: training starts from random points"]);
 }
 
 #[test]
@@ -455,11 +470,11 @@ fn pixels_that_cannot_be_decoded_are_refused_when_loading() {
 
 #[test]
 fn nothing_that_looks_like_a_dataset_is_refused_as_such() {
-    let nothing = refused(&Set::default().with("readme.txt", "hello").with("deep/er/transforms.json", "{}"));
+    let nothing = refused(&Set::default().with("readme.txt", "hello").with("deep/er/cameras.txt", "{}"));
     assert_eq!((nothing.status, nothing.file.clone()), (422, None));
     assert!(nothing.detail.contains("no dataset was found"), "{nothing}");
     let two_folders = Set(nerfstudio().inside("a").0.into_iter().chain(colmap().inside("b").0).collect());
-    assert!(refused(&two_folders).detail.contains("no dataset was found"));
+    assert!(refused(&two_folders).detail.contains("there are 2 datasets, in a/, b/: send one of them"));
     let absent = check(Path::new("/nonexistent/dataset")).expect_err("there is none");
     assert_eq!((absent.status, absent.file.as_deref()), (404, None), "the path is the caller's to name");
 }

@@ -144,32 +144,23 @@ impl Tree {
         self.purpose.deadline().check()
     }
 
-    /// Takes the only top-level folder as the root, if there is exactly one and no file beside it.
-    /// Returns whether it did.
-    pub(super) fn enter_only_folder(&mut self) -> bool {
-        let Some(folder) = self
-            .files
-            .keys()
-            .next()
-            .and_then(|name| name.split_once('/'))
-            .map(|(folder, _)| format!("{folder}/"))
-        else {
-            return false;
-        };
-        if !self.files.keys().all(|name| name.starts_with(&folder)) {
-            return false;
+    /// Takes a folder, which ends in a slash, as the root. Returns the files that are not in it.
+    pub(super) fn enter(&mut self, folder: &str) -> Vec<String> {
+        let mut outside = Vec::new();
+        let mut inside = BTreeMap::new();
+        for (name, entry) in std::mem::take(&mut self.files) {
+            match name.strip_prefix(folder) {
+                Some(rest) => _ = inside.insert(rest.to_owned(), entry),
+                None => outside.push(name),
+            }
         }
-        let strip = |name: String| name.strip_prefix(&folder).map(str::to_owned);
-        self.files = std::mem::take(&mut self.files)
-            .into_iter()
-            .filter_map(|(name, entry)| Some((strip(name)?, entry)))
-            .collect();
+        self.files = inside;
         self.special = std::mem::take(&mut self.special)
             .into_iter()
-            .filter_map(|(name, kind)| Some((strip(name)?, kind)))
+            .filter_map(|(name, kind)| Some((name.strip_prefix(folder)?.to_owned(), kind)))
             .collect();
         self.by_normal_form = by_normal_form(&self.files);
-        true
+        outside
     }
 
     /// Whether there is a file of this name.

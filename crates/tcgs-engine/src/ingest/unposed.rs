@@ -3,6 +3,7 @@
 //! A folder or archive is one if no layout of a dataset is found in it. The check reads headers alone, within the limits of datasets.
 
 use std::{
+    collections::BTreeSet,
     fs::{self, File},
     io,
     path::Path,
@@ -12,6 +13,7 @@ use std::{
 use super::{
     deadline::Deadline,
     error::{IngestError, IngestErrorKind},
+    formats,
     images::{self, is_image_name},
     limits::Limits,
     masks::is_mask_folder,
@@ -53,6 +55,7 @@ impl Unposed {
         let is_mask = |name: &String| folder_of(name).split('/').any(is_mask_folder);
         let images = shown().filter(|name| is_image_name(name)).map(str::to_owned);
         let (masks, names): (Vec<String>, Vec<String>) = images.partition(is_mask);
+        expect_read(shown(), &names)?;
         if !names.is_empty() {
             return Ok(Self::Photographs { names, masks });
         }
@@ -60,7 +63,7 @@ impl Unposed {
         match (videos.next(), videos.next()) {
             (Some(video), None) => Ok(Self::Video(video.to_owned())),
             (Some(_), Some(second)) => Err(IngestErrorKind::SeveralVideos.at(second)),
-            (None, _) => Err(IngestErrorKind::NoLayout { photographs: 0 }.into()),
+            (None, _) => Err(IngestErrorKind::NoLayout { photographs: 0, unread: None }.into()),
         }
     }
 
@@ -97,6 +100,25 @@ impl Unposed {
     }
 }
 
+/// Refuses photographs in a format that is not read, unless the same photograph lies beside them in one that is.
+///
+/// # Errors
+/// [`IngestErrorKind::UnreadFormat`].
+fn expect_read<'a>(files: impl Iterator<Item = &'a str>, photographs: &[String]) -> Result<(), IngestError> {
+    fn stem(name: &str) -> &str {
+        name.rsplit_once('.').map_or("", |(stem, _)| stem)
+    }
+    let read: BTreeSet<&str> = photographs.iter().map(|name| stem(name)).collect();
+    for name in files {
+        let format = formats::by_name(name).filter(|format| format.is_of_cameras());
+        if let Some(format) = format.filter(|_| !read.contains(stem(name))) {
+            let remedy = format.remedy(name);
+            return Err(IngestErrorKind::UnreadFormat { format: format.name, remedy }.at(name));
+        }
+    }
+    Ok(())
+}
+
 /// Whether a file is a table of cameras: then the files are a dataset in the wrong place, or several.
 fn is_table(name: &str) -> bool {
     let name = name.rsplit('/').next().unwrap_or(name).to_lowercase();
@@ -118,7 +140,7 @@ pub(super) fn check(deadline: Deadline, path: &Path, limits: &Limits) -> Result<
 fn summary(tree: &Tree, limits: &Limits) -> Result<DatasetSummary, IngestError> {
     if tree.names().any(is_table) {
         let photographs = tree.names().filter(|name| is_image_name(name)).count();
-        return Err(IngestErrorKind::NoLayout { photographs }.into());
+        return Err(IngestErrorKind::NoLayout { photographs, unread: None }.into());
     }
     let unposed = Unposed::of(tree)?;
     let (mut pixels, mut count) = (0, 0);
@@ -167,7 +189,7 @@ fn summary(tree: &Tree, limits: &Limits) -> Result<DatasetSummary, IngestError> 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::domain::ProblemType;
+    use crate::domain::{Problem, ProblemType};
 
     fn put(folder: &Path, name: &str, content: &[u8]) {
         let path = folder.join(name);
@@ -196,6 +218,16 @@ mod tests {
         };
         assert_eq!(found, ["a/c.png", "a/d.webp", "b.JPG"]);
         assert!(Unposed::find(&folder.path().join("missing")).is_err());
+        put(folder.path(), "masks/b.png", b"");
+        put(folder.path(), "b.HEIC", b"");
+        let Unposed::Photographs { names, masks } = Unposed::find(folder.path()).expect("converted beside")
+        else {
+            panic!("no photographs")
+        };
+        assert_eq!((names.len(), masks), (3, vec!["masks/b.png".to_owned()]));
+        put(folder.path(), "e.heic", b"");
+        let problem = Problem::from(Unposed::find(folder.path()).expect_err("not read"));
+        assert!(problem.detail.contains("`magick mogrify -format "), "{problem}");
     }
 
     #[test]

@@ -48,6 +48,14 @@ pub(super) fn note_unused(tree: &Tree, taken: &Taken, notes: &mut Vec<String>) {
     }
 }
 
+/// Adds a note for files outside of the dataset's folder.
+pub(super) fn note_outside(root: &str, outside: &[String], notes: &mut Vec<String>) {
+    let names: Vec<&str> = outside.iter().map(String::as_str).collect();
+    if let Some(text) = named(&names) {
+        notes.push(format!("the dataset is in {}; not used: {text}", shown(root)));
+    }
+}
+
 fn note_images(images: &[&str], taken: &Taken, notes: &mut Vec<String>) {
     let with_photographs: BTreeSet<&str> = taken.listed.iter().map(|file| folder_of(file)).collect();
     let mut folders: BTreeMap<&str, usize> = BTreeMap::new();

@@ -32,7 +32,7 @@ use tcgs_lab::report::{
 
 use self::runner::{FailedRun, Runner, SuiteSet};
 use crate::cli::{
-    CliError, Report, adapter::AdapterFlag, files, json_lines::JsonLines, lpips::LpipsFlag,
+    CliError, Report, adapter::AdapterFlag, files, json_lines::JsonLines, lpips::LpipsFlag, reading::LENIENT,
     signals::Interruption, wiring,
 };
 
@@ -108,7 +108,7 @@ pub(crate) fn run(args: &Args) -> Result<Report, CliError> {
     let mut sets = BTreeMap::new();
     for (name, path) in found.into_iter().filter(|(name, _)| used.contains(name.as_str())) {
         // Names and contents decide whether a kept run is of this set; pixels are read again by each run.
-        let digest = wiring::load_dataset(&path)?.digest;
+        let digest = wiring::load_as(&path, &LENIENT)?.digest;
         sets.insert(name, SuiteSet { path, digest });
     }
     let interruption = Interruption::listen();

@@ -225,7 +225,7 @@ impl Measured {
             decode_seconds.push(started.elapsed().as_secs_f64());
         }
         let file = wiring::read(&output.file)?;
-        let dataset = wiring::load_dataset(dataset)?;
+        let dataset = wiring::load_as(dataset, &run.options.reading())?;
         let renderer = wiring::SceneViews::open(file.clone(), adapter)?;
         let background = output.metrics.background;
         // The first pass makes kernels and buffers.

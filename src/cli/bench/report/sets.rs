@@ -8,7 +8,7 @@ use std::{
 
 use tcgs::domain::{Problem, ProblemType};
 
-use crate::cli::{CliError, notice::notice, wiring};
+use crate::cli::{CliError, notice::notice, reading::LENIENT, wiring};
 
 /// The datasets of the folder by name, only those of `named` if there are any. Anything else is skipped with a note; it is wrong usage
 /// to name a set in `asked` that is not there.
@@ -36,7 +36,7 @@ pub(super) fn find(
     }
     let mut usable = Vec::new();
     for (name, path) in sets {
-        match wiring::check_dataset(&path) {
+        match wiring::check_dataset(&path, &LENIENT) {
             Ok(()) => usable.push((name, path)),
             Err(problem) if !named.is_empty() => return Err(problem.into()),
             Err(problem) => notice(format_args!("tcgs: note: {name} skipped: {problem}")),

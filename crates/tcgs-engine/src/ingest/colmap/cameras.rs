@@ -1,28 +1,35 @@
 //! The camera models of COLMAP: their numbers, names and parameters, and the lens each describes.
 
 use super::super::{
-    distortion::Distortion,
+    distortion::{Distortion, Polynomial},
     error::{IngestErrorKind, Result},
     lens::{Focal, Lens},
+    projection::Projection,
 };
 
-/// Models by the number that binary files use. Those without a parameter count are known but not supported.
-const MODELS: [(&str, Option<usize>); 12] = [
+/// Models by the number that binary files use, with their numbers of parameters. Those without are known but not read.
+const MODELS: [(&str, Option<usize>); 18] = [
     ("SIMPLE_PINHOLE", Some(3)),
     ("PINHOLE", Some(4)),
     ("SIMPLE_RADIAL", Some(4)),
     ("RADIAL", Some(5)),
     ("OPENCV", Some(8)),
-    ("OPENCV_FISHEYE", None),
+    ("OPENCV_FISHEYE", Some(8)),
     ("FULL_OPENCV", Some(12)),
-    ("FOV", None),
-    ("SIMPLE_RADIAL_FISHEYE", None),
-    ("RADIAL_FISHEYE", None),
-    ("THIN_PRISM_FISHEYE", None),
-    ("RAD_TAN_THIN_PRISM_FISHEYE", None),
+    ("FOV", Some(5)),
+    ("SIMPLE_RADIAL_FISHEYE", Some(4)),
+    ("RADIAL_FISHEYE", Some(5)),
+    ("THIN_PRISM_FISHEYE", Some(12)),
+    ("RAD_TAN_THIN_PRISM_FISHEYE", Some(16)),
+    ("SIMPLE_DIVISION", Some(4)),
+    ("DIVISION", Some(5)),
+    ("SIMPLE_FISHEYE", Some(3)),
+    ("FISHEYE", Some(4)),
+    ("EUCM", Some(6)),
+    ("EQUIRECTANGULAR", None),
 ];
 
-/// Fewest parameters of any supported model.
+/// Fewest parameters of any model.
 pub(super) const MIN_PARAMETERS: usize = 3;
 
 /// A row of the cameras table.
@@ -60,6 +67,9 @@ pub(super) fn model_by_name(camera: u32, name: &str) -> Result<(&'static str, us
 }
 
 fn unsupported(camera: u32, model: String) -> IngestErrorKind {
+    if model == "EQUIRECTANGULAR" {
+        return IngestErrorKind::Panorama { place: place(camera), model };
+    }
     IngestErrorKind::CameraModel { place: place(camera), model }
 }
 
@@ -74,28 +84,10 @@ impl CameraRecord {
     /// [`IngestErrorKind::Record`], [`IngestErrorKind::NonFiniteDistortion`] or [`IngestErrorKind::Camera`].
     pub(super) fn lens(&self) -> Result<Lens> {
         let place = place(self.id);
-        let (f, c, [k1, k2, k3], tangential) = match (self.model, self.parameters.as_slice()) {
-            ("SIMPLE_PINHOLE", &[f, cx, cy]) => ([f, f], [cx, cy], [0.0; 3], [0.0; 2]),
-            ("PINHOLE", &[fx, fy, cx, cy]) => ([fx, fy], [cx, cy], [0.0; 3], [0.0; 2]),
-            ("SIMPLE_RADIAL", &[f, cx, cy, k]) => ([f, f], [cx, cy], [k, 0.0, 0.0], [0.0; 2]),
-            ("RADIAL", &[f, cx, cy, k1, k2]) => ([f, f], [cx, cy], [k1, k2, 0.0], [0.0; 2]),
-            ("OPENCV", &[fx, fy, cx, cy, k1, k2, p1, p2]) => ([fx, fy], [cx, cy], [k1, k2, 0.0], [p1, p2]),
-            ("FULL_OPENCV", &[fx, fy, cx, cy, k1, k2, p1, p2, k3, k4, k5, k6]) => {
-                // k4, k5 and k6 are the polynomial that the radial one is divided by.
-                let denominator = [k4, k5, k6];
-                if denominator.iter().any(|k| !k.is_finite()) {
-                    return Err(IngestErrorKind::NonFiniteDistortion { place });
-                }
-                if denominator != [0.0; 3] {
-                    return Err(unsupported(self.id, "FULL_OPENCV with k4, k5 or k6".to_owned()));
-                }
-                ([fx, fy], [cx, cy], [k1, k2, k3], [p1, p2])
-            }
-            (model, parameters) => {
-                let message = format!("{model} does not have {} parameters", parameters.len());
-                return Err(IngestErrorKind::Record { place, message });
-            }
-        };
+        let (f, c, distortion) = model(self.model, &self.parameters).ok_or_else(|| {
+            let message = format!("{} does not have {} parameters", self.model, self.parameters.len());
+            IngestErrorKind::Record { place: place.clone(), message }
+        })?;
         let (Ok(width), Ok(height)) = (u32::try_from(self.width), u32::try_from(self.height)) else {
             let message = format!("the image size {}x{} is not possible", self.width, self.height);
             return Err(IngestErrorKind::Record { place, message });
@@ -104,7 +96,7 @@ impl CameraRecord {
             focal: Focal::Pixels { x: f[0], y: f[1] },
             principal: c.map(Some),
             size: Some((width, height)),
-            distortion: Distortion { radial: [k1, k2, k3, 0.0], tangential },
+            distortion,
         };
         if !lens.distortion.is_finite() {
             return Err(IngestErrorKind::NonFiniteDistortion { place });
@@ -112,6 +104,55 @@ impl CameraRecord {
         lens.check().map_err(|source| IngestErrorKind::Camera { place, source })?;
         Ok(lens)
     }
+}
+
+/// Focal lengths, principal point and distortion of a model; `None` for another number of parameters than it has.
+fn model(name: &str, parameters: &[f64]) -> Option<([f64; 2], [f64; 2], Distortion)> {
+    let polynomial =
+        |k1, k2, k3, tangential| Distortion::Polynomial(Polynomial { radial: [k1, k2, k3, 0.0], tangential });
+    let one = ["SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE"];
+    let has_one = one.contains(&name) || matches!(name, "SIMPLE_DIVISION" | "SIMPLE_FISHEYE");
+    let (f, c, rest) = match parameters {
+        [f, cx, cy, rest @ ..] if has_one => ([*f; 2], [*cx, *cy], rest),
+        [fx, fy, cx, cy, rest @ ..] if !has_one => ([*fx, *fy], [*cx, *cy], rest),
+        _ => return None,
+    };
+    let fisheye = |radial| Distortion::Projection(Projection::Fisheye { radial });
+    let distortion = match (name, rest) {
+        ("SIMPLE_PINHOLE" | "PINHOLE", []) => polynomial(0.0, 0.0, 0.0, [0.0; 2]),
+        ("SIMPLE_RADIAL", &[k]) => polynomial(k, 0.0, 0.0, [0.0; 2]),
+        ("RADIAL", &[k1, k2]) => polynomial(k1, k2, 0.0, [0.0; 2]),
+        ("OPENCV", &[k1, k2, p1, p2]) => polynomial(k1, k2, 0.0, [p1, p2]),
+        // Nothing is divided.
+        ("FULL_OPENCV", &[k1, k2, p1, p2, k3, 0.0, 0.0, 0.0]) => polynomial(k1, k2, k3, [p1, p2]),
+        ("FULL_OPENCV", &[k1, k2, p1, p2, k3, k4, k5, k6]) => Distortion::Projection(Projection::Rational {
+            radial: [k1, k2, k3, k4, k5, k6],
+            tangential: [p1, p2],
+        }),
+        ("FOV", &[omega]) => Distortion::Projection(Projection::Fov { omega }),
+        ("OPENCV_FISHEYE", &[k1, k2, k3, k4]) => fisheye([k1, k2, k3, k4]),
+        ("SIMPLE_FISHEYE" | "FISHEYE", []) => fisheye([0.0; 4]),
+        ("SIMPLE_RADIAL_FISHEYE", &[k]) => fisheye([k, 0.0, 0.0, 0.0]),
+        ("RADIAL_FISHEYE", &[k1, k2]) => fisheye([k1, k2, 0.0, 0.0]),
+        ("THIN_PRISM_FISHEYE", &[k1, k2, p1, p2, k3, k4, sx1, sy1]) => {
+            Distortion::Projection(Projection::ThinPrismFisheye {
+                radial: [k1, k2, k3, k4],
+                tangential: [p1, p2],
+                prism: [sx1, sy1],
+            })
+        }
+        ("RAD_TAN_THIN_PRISM_FISHEYE", &[k0, k1, k2, k3, k4, k5, p0, p1, s0, s1, s2, s3]) => {
+            Distortion::Projection(Projection::RadTanThinPrismFisheye {
+                radial: [k0, k1, k2, k3, k4, k5],
+                tangential: [p0, p1],
+                prism: [s0, s1, s2, s3],
+            })
+        }
+        ("SIMPLE_DIVISION" | "DIVISION", &[k]) => Distortion::Projection(Projection::Division { k }),
+        ("EUCM", &[alpha, beta]) => Distortion::Projection(Projection::EnhancedUnified { alpha, beta }),
+        _ => return None,
+    };
+    Some((f, c, distortion))
 }
 
 #[cfg(test)]
@@ -136,38 +177,83 @@ mod tests {
                 focal: Focal::Pixels { x: focal[0], y: focal[1] },
                 principal: [Some(1.0), Some(2.0)],
                 size: Some((64, 48)),
-                distortion: Distortion { radial: [radial[0], radial[1], 0.0, 0.0], tangential },
+                distortion: Distortion::Polynomial(Polynomial {
+                    radial: [radial[0], radial[1], 0.0, 0.0],
+                    tangential,
+                }),
             };
             assert_eq!(record(model, &parameters).lens().expect(model), expected);
         }
     }
 
     #[test]
-    fn numbers_are_those_of_colmap_and_other_models_are_named() {
-        for (number, name) in
-            ["SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV"].iter().enumerate()
-        {
-            assert_eq!(model_by_number(3, number as i32).expect("supported").0, *name);
+    fn models_are_those_of_colmap_and_others_are_named() {
+        for (number, (name, parameters)) in MODELS.iter().enumerate() {
+            let Some(parameters) = parameters else { continue };
+            assert_eq!(model_by_number(3, number as i32).expect("a model"), (*name, *parameters));
+            assert_eq!(model_by_name(3, name).expect("a model"), (*name, *parameters));
+            assert!(model(name, &vec![0.1; *parameters]).is_some(), "{name}");
+            for other in [parameters - 1, parameters + 1] {
+                assert!(model(name, &vec![0.1; other]).is_none(), "{name} with {other}");
+            }
         }
-        for (number, name) in [(5, "OPENCV_FISHEYE"), (7, "FOV"), (99, "number 99"), (-1, "number -1")] {
+        for (number, name) in [(18, "number 18"), (99, "number 99"), (-1, "number -1")] {
             let error = model_by_number(3, number).expect_err(name).to_string();
             assert!(error.starts_with(&format!("camera 3: camera model {name} is not supported")), "{error}");
         }
-        assert!(model_by_name(3, "OPENCV_FISHEYE").is_err() && model_by_name(3, "pinhole").is_err());
+        assert!(model_by_name(3, "pinhole").is_err());
+        for error in [
+            model_by_number(3, 17).expect_err("a sphere"),
+            model_by_name(3, "EQUIRECTANGULAR").expect_err("a sphere"),
+        ] {
+            assert!(error.to_string().contains("camera 3: EQUIRECTANGULAR pictures show"), "{error}");
+        }
+    }
+
+    /// What pycolmap projects, by `tests/oracles/cameras.py`.
+    #[test]
+    fn projections_are_those_of_pycolmap() {
+        #[derive(serde::Deserialize)]
+        struct Oracle {
+            size: [u64; 2],
+            points: Vec<[f64; 3]>,
+            cameras: Vec<OracleCamera>,
+        }
+        #[derive(serde::Deserialize)]
+        struct OracleCamera {
+            model: String,
+            number: i32,
+            parameters: Vec<f64>,
+            pixels: Vec<[f64; 2]>,
+        }
+        let oracle: Oracle =
+            serde_json::from_str(include_str!("../../../../../tests/oracles/cameras.json")).expect("JSON");
+        assert_eq!(oracle.cameras.len(), MODELS.len() - 1);
+        for OracleCamera { model, number, parameters, pixels } in oracle.cameras {
+            let (model, count) = model_by_name(1, &model).expect("a model");
+            assert_eq!(
+                (model_by_number(1, number).expect("a model"), parameters.len()),
+                ((model, count), count)
+            );
+            let [width, height] = oracle.size;
+            let lens = CameraRecord { id: 1, model, width, height, parameters }.lens().expect(model);
+            let k = lens.intrinsics((width as u32, height as u32)).expect(model);
+            for ([x, y, z], [u, v]) in oracle.points.iter().zip(pixels) {
+                let [a, b] = lens.distortion.distort([x / z, y / z]);
+                let distance = (k.fx * a + k.cx - u).hypot(k.fy * b + k.cy - v);
+                assert!(distance < 1e-4, "{model}: {distance} pixels at {x}, {y}, {z}");
+            }
+        }
     }
 
     #[test]
     fn full_opencv_is_its_simpler_camera_where_nothing_is_divided() {
-        assert_eq!(model_by_name(3, "FULL_OPENCV").expect("a model"), ("FULL_OPENCV", 12));
-        assert_eq!(model_by_number(3, 6).expect("a model"), ("FULL_OPENCV", 12));
         let opencv = [9.0, 8.0, 1.0, 2.0, 0.1, 0.2, 0.3, 0.4];
         let full = |extra: [f64; 4]| record("FULL_OPENCV", &[&opencv[..], &extra].concat()).lens();
         assert_eq!(full([0.0; 4]).expect("a lens"), record("OPENCV", &opencv).lens().expect("a lens"));
-        assert_eq!(full([0.5, 0.0, 0.0, 0.0]).expect("a lens").distortion.radial, [0.1, 0.2, 0.5, 0.0]);
-        for extra in [[0.0, 0.1, 0.0, 0.0], [0.0, 0.0, 0.1, 0.0], [0.0, 0.0, 0.0, 0.1]] {
-            let error = full(extra).expect_err("a division").to_string();
-            assert!(error.contains("FULL_OPENCV with k4, k5 or k6 is not supported"), "{error}");
-        }
+        let cubic = Polynomial { radial: [0.1, 0.2, 0.5, 0.0], tangential: [0.3, 0.4] };
+        assert_eq!(full([0.5, 0.0, 0.0, 0.0]).expect("a lens").distortion, Distortion::Polynomial(cubic));
+        assert!(matches!(full([0.0, 0.1, 0.0, 0.0]).expect("a lens").distortion, Distortion::Projection(_)));
         assert!(matches!(full([0.0, f64::NAN, 0.0, 0.0]), Err(IngestErrorKind::NonFiniteDistortion { .. })));
     }
 

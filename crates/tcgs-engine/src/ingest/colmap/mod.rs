@@ -8,7 +8,7 @@ mod cameras;
 mod model;
 mod text;
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use glam::{DMat3, DQuat, DVec3};
 
@@ -16,13 +16,14 @@ pub(super) use self::model::{Choice, detect};
 use self::text::Lines;
 use super::{
     error::{IngestError, IngestErrorKind, Result},
-    plan::{ImageFiles, Plan, PlannedFrame, RecordCounter},
+    image_files::{FoundImage, ImageFiles},
+    plan::{Plan, PlannedFrame, RecordCounter},
     ply,
     points::Points,
     table_reader::TableReader,
     tree::Tree,
 };
-use crate::domain::{CameraError, Layout, Pose, Split};
+use crate::domain::{CameraError, Layout, Pose, ReadOptions, Split};
 
 /// Where the photographs lie.
 const IMAGES: &str = "images/";
@@ -42,32 +43,27 @@ struct ImageRecord {
 ///
 /// # Errors
 /// Everything that is wrong with the tables or the images they list.
-pub(super) fn plan(tree: &Tree, choice: Choice) -> Result<Plan, IngestError> {
+pub(super) fn plan(tree: &Tree, choice: Choice, read: &ReadOptions) -> Result<Plan, IngestError> {
     let Choice { model, unused, note } = choice;
     let [cameras_file, images_file] = ["cameras", "images"].map(|name| model.table(name));
     let missing = |file: &str| {
         tree.special_on_path(file).unwrap_or_else(|| {
-            let needed =
-                "a COLMAP model has cameras, images and points3D (.bin or .txt; the points also .ply)";
+            let needed = "a COLMAP model has cameras and images, and points3D if there are points (.bin or .txt; the points also .ply)";
             IngestErrorKind::MissingFile(needed).at(file)
         })
     };
     if !tree.has(&images_file) {
         return Err(missing(&images_file));
     }
-    let points_file = model.points(tree).ok_or_else(|| missing(&model.table("points3D")))?;
+    let points_file = model.points(tree);
+    if points_file.is_none()
+        && let Some(link) = tree.special_on_path(&model.table("points3D"))
+    {
+        return Err(link);
+    }
     let cameras = parse(tree, &cameras_file, binary::cameras, text::cameras)?;
     let images = parse(tree, &images_file, binary::images, text::images)?;
-    let points = if points_file.ends_with(".ply") {
-        ply::read(tree, points_file)?
-    } else {
-        parse(
-            tree,
-            points_file,
-            |bytes| kept(tree, |points| binary::points(bytes, points)),
-            |lines| kept(tree, |points| text::points(lines, points)),
-        )?
-    };
+    let points = points_file.map(|file| points(tree, file)).transpose()?;
 
     let mut plan = Plan::new(Layout::Colmap);
     let mut lenses = BTreeMap::new();
@@ -79,25 +75,45 @@ pub(super) fn plan(tree: &Tree, choice: Choice) -> Result<Plan, IngestError> {
         }
     }
 
-    let mut files = ImageFiles::new(tree, &images_file);
-    for image in &images {
+    let folders = [IMAGES, model.folder()];
+    let flat = if model.folder().is_empty() { &folders[..] } else { &folders[..1] };
+    let files = ImageFiles { tree, listing: &images_file, folders: flat, taken: &BTreeSet::new() };
+    let names: Vec<&str> = images.iter().map(|image| image.name.as_str()).collect();
+    let mut search = files.find(&names, |index| format!("image {}", images[index].id))?;
+    for (image, found) in images.iter().zip(std::mem::take(&mut search.found)) {
         let place = format!("image {}", image.id);
-        let found = files.find(IMAGES, &image.name, &place)?;
         let lens = *lenses.get(&image.camera).ok_or_else(|| {
             let message = format!("there is no camera {} in {cameras_file}", image.camera);
             IngestErrorKind::Record { place: place.clone(), message }.at(&images_file)
         })?;
         let pose = pose(image, &place).map_err(|error| error.at(&images_file))?;
-        if let Some((name, file)) = found {
+        if let Some(FoundImage { name, file }) = found {
             plan.add(PlannedFrame { name, file, lens, pose, split: Split::Train, mask: None }, &images_file);
         }
     }
-    files.finish()?;
+    search.finish(read, &mut plan.notes)?;
     plan.hold_out();
     plan.notes.extend(note);
     plan.noted = unused;
-    plan.take_points(points, points_file);
+    match points_file.zip(points) {
+        Some((file, points)) => plan.take_points(points, file),
+        None => plan
+            .notes
+            .push(format!("there is no {}: training starts from random points", model.table("points3D"))),
+    }
     plan.ordered(&images_file)
+}
+
+fn points(tree: &Tree, file: &str) -> Result<Points, IngestError> {
+    if file.ends_with(".ply") {
+        return ply::read(tree, file);
+    }
+    parse(
+        tree,
+        file,
+        |bytes| kept(tree, |points| binary::points(bytes, points)),
+        |lines| kept(tree, |points| text::points(lines, points)),
+    )
 }
 
 fn parse<T>(

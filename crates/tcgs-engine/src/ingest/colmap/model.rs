@@ -5,13 +5,14 @@
 use std::collections::BTreeSet;
 
 use super::{
-    super::{error::shown, tree::Tree},
+    super::{error::shown, images::is_image_name, plan::folder_of, tree::Tree},
     binary::MIN_IMAGE_BYTES,
     text::{self, Lines},
 };
 
-/// Folders in which models lie, themselves or in folders of their own, in the order of preference.
-const ROOTS: [&str; 2] = ["sparse/", "colmap/sparse/"];
+/// Folders in which models lie, themselves or in folders of their own, in the order of preference. The last is the dataset's own, as for
+/// tables beside the photographs.
+const ROOTS: [&str; 3] = ["sparse/", "colmap/sparse/", ""];
 
 /// How many of the models that are not used a note names.
 const MAX_MODELS_NOTED: usize = 4;
@@ -34,6 +35,11 @@ pub(in super::super) struct Choice {
 }
 
 impl Model {
+    /// Its folder, with a slash at its end; empty for the dataset's own.
+    pub(super) fn folder(&self) -> &str {
+        &self.folder
+    }
+
     /// The file of a table.
     pub(super) fn table(&self, name: &str) -> String {
         format!("{}{name}.{}", self.folder, self.extension)
@@ -64,7 +70,10 @@ impl Model {
     }
 
     fn shown(&self) -> String {
-        shown(self.folder.trim_end_matches('/'))
+        match self.folder.trim_end_matches('/') {
+            "" => "the top".to_owned(),
+            folder => shown(folder),
+        }
     }
 }
 
@@ -85,8 +94,8 @@ pub(in super::super) fn detect(tree: &Tree) -> Option<Choice> {
     let others: Vec<_> = sized.collect();
     let folders: Vec<&str> = others.iter().map(|(_, other)| other.folder.as_str()).collect();
     let is_theirs = |name: &&str| {
-        name.rsplit_once('/')
-            .is_some_and(|(folder, _)| folders.iter().any(|of| of.trim_end_matches('/') == folder))
+        let folder = folder_of(name);
+        !is_image_name(name) && folders.iter().any(|of| of.trim_end_matches('/') == folder)
     };
     let unused = tree.names().filter(is_theirs).map(str::to_owned).collect();
     let mut note = format!(
