@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use serde::Serialize;
-use tcgs::domain::{DatasetSummary, Intrinsics, NamedCamera};
+use tcgs::domain::{DatasetSummary, Intrinsics, Layout, NamedCamera};
 
 use super::{CliError, Report, reading::ReadFlags, wiring};
 
@@ -57,11 +57,17 @@ fn text(checked: &Checked) -> String {
         None | Some(0) => "none: training starts from random points".to_owned(),
         Some(count) => count.to_string(),
     };
-    let mut text = format!(
-        "layout       {}\nphotographs  {} to train on, {} held out\nsize         {sizes} pixels, as trained on\n\
-         points       {points}\n",
-        summary.layout, summary.train, summary.test,
-    );
+    let mut text = match summary.layout {
+        Layout::Photographs => {
+            format!("layout       photographs\nphotographs  {}, without cameras\n", summary.train)
+        }
+        Layout::Video => "layout       video\n".to_owned(),
+        layout => format!(
+            "layout       {layout}\nphotographs  {} to train on, {} held out\nsize         {sizes} pixels, as trained on\n\
+             points       {points}\n",
+            summary.train, summary.test,
+        ),
+    };
     for note in &summary.notes {
         text += &format!("note         {note}\n");
     }
@@ -71,7 +77,7 @@ fn text(checked: &Checked) -> String {
 #[cfg(test)]
 mod tests {
     use glam::DVec3;
-    use tcgs::domain::{Camera, Layout, Pose, Split};
+    use tcgs::domain::{Camera, Pose, Split};
 
     use super::*;
 
@@ -100,6 +106,13 @@ mod tests {
              size         800x600 to 1600x1200 pixels, as trained on\n\
              points       none: training starts from random points\n\
              note         images undistorted: 3\nnote         every eighth is held out\n"
+        );
+        let notes = vec!["a job finds them first".to_owned()];
+        let summary =
+            DatasetSummary { layout: Layout::Photographs, train: 7, test: 0, pixels: 9, points: None, notes };
+        assert_eq!(
+            text(&Checked { summary, smallest: [0, 0], largest: [0, 0] }),
+            "layout       photographs\nphotographs  7, without cameras\nnote         a job finds them first\n"
         );
     }
 }

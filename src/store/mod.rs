@@ -73,7 +73,7 @@ pub use webhooks::{
     AfterAttempt, DeliveryRecord, DeliveryResult, DeliveryState, DueDelivery, EndpointRecord, NewEndpoint,
     Replay,
 };
-pub use workers::WORKER_LIFE;
+pub use workers::{Claimant, WORKER_LIFE};
 
 use futures_util::future::BoxFuture;
 use jiff::{SignedDuration, Timestamp};

@@ -12,7 +12,7 @@ use super::{
 use crate::{
     domain::{FailurePoint, failure_point::reach},
     pipeline::RunJob,
-    store::{Blobs, ChangeKind, Store},
+    store::{Blobs, ChangeKind, Claimant, Store},
 };
 
 /// How often an idle worker removes unneeded checkpoints.
@@ -57,7 +57,8 @@ pub async fn serve(
     let mut swept = sweep().await;
     let mut changes = deps.store.changes(ChangeKind::Queue);
     while !shutdown.is_cancelled() {
-        match deps.store.claim_for(&deps.config.id, capabilities.known()).await {
+        let claimant = Claimant { id: &deps.config.id, can: capabilities.known() };
+        match deps.store.claim(claimant).await {
             Ok(Some(claim)) => {
                 reach(FailurePoint::AfterClaim);
                 run_attempt(&deps, claim, &shutdown).await?;

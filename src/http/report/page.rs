@@ -148,10 +148,16 @@ fn standing(job: &Job) -> Markup {
                 None if job.state.is_terminal() => h2 { "The job was cancelled" },
                 None => {
                     h2 { "In progress" }
-                    p {
-                        progress max=(progress.total.max(1)) value=(progress.step) {}
-                        " " (grouped(progress.step)) " of " (grouped(progress.total)) " steps"
-                        @if let Some(eta) = progress.eta_seconds { ", about " (duration(eta)) " of training left" }
+                    @match &progress.poses {
+                        Some(poses) => p {
+                            progress max=(poses.total.max(1)) value=(poses.done) {}
+                            " cameras are found: " (poses.stage.name()) " " (grouped(poses.done)) " of " (grouped(poses.total))
+                        },
+                        None => p {
+                            progress max=(progress.total.max(1)) value=(progress.step) {}
+                            " " (grouped(progress.step)) " of " (grouped(progress.total)) " steps"
+                            @if let Some(eta) = progress.eta_seconds { ", about " (duration(eta)) " of training left" }
+                        },
                     }
                     p.none { "This page loads itself again every " (REFRESH_SECONDS) " seconds." }
                 }

@@ -48,9 +48,9 @@ use jiff::Timestamp;
 use serde_json::json;
 
 use super::{
-    Artifact, AttemptRecord, BlobRef, Cancellation, ChangeKind, Changes, Claim, Deletion, Heartbeat,
-    JobFilter, JobRecord, Lease, NewJob, Outcome, PageKey, QueuePolicy, RetryOutcome, RetryRequest,
-    StoreError, StoreFuture, WorkerDeath, leases::LeaseWatch,
+    Artifact, AttemptRecord, BlobRef, Cancellation, ChangeKind, Changes, Claim, Claimant, Deletion,
+    Heartbeat, JobFilter, JobRecord, Lease, NewJob, Outcome, PageKey, QueuePolicy, RetryOutcome,
+    RetryRequest, StoreError, StoreFuture, WorkerDeath, leases::LeaseWatch,
 };
 use crate::domain::{
     Clock, Event, EventKind, FailurePoint, JobId, JobState, Phase, Preparation, Progress,
@@ -410,17 +410,13 @@ impl Store {
         })
     }
 
-    /// As [`Store::claim_for`], for a worker that trains alone.
-    pub fn claim<'a>(&'a self, worker: &'a str) -> StoreFuture<'a, Option<Claim>> {
-        self.claim_for(worker, Preparation::None)
-    }
-
-    /// Grants `worker` a job that is due and needs at most the preparation `can`: of projects that run fewer jobs than they may, those with the highest priority; of these, one of
+    /// Grants `worker` a job that is due and needs no preparation that the worker cannot do: of projects that run fewer jobs than they may, those with the highest priority; of these, one of
     /// the project with the fewest running jobs, or of those the one whose latest claim is longest ago; the oldest first. Expires leases
     /// first, as [`Store::expire_leases`].
-    pub fn claim_for<'a>(&'a self, worker: &'a str, can: Preparation) -> StoreFuture<'a, Option<Claim>> {
+    pub fn claim<'a>(&'a self, worker: impl Into<Claimant<'a>>) -> StoreFuture<'a, Option<Claim>> {
+        let Claimant { id, can } = worker.into();
         self.call("claim").run(async move {
-            let claimed = self.claim_next(worker, can).await;
+            let claimed = self.claim_next(id, can).await;
             self.track_lease(claimed.map(Option::unzip))
         })
     }

@@ -415,6 +415,46 @@ fn masks() -> Vec<Row> {
     ]
 }
 
+/// Photographs and videos that no file says the cameras of.
+fn without_cameras() -> Vec<Row> {
+    let photographs =
+        || -> Files { ["a.png", "b.png", "c.png"].map(|name| (name.to_owned(), png(8, 6))).into() };
+    let video = |content: &[u8]| with(Files::new(), "v.mp4", content);
+    let two: Files = ["v.mp4", "w.mov"].map(|name| (name.to_owned(), b"\0\0\0\x14ftypisom".to_vec())).into();
+    let mut few = photographs();
+    few.remove("b.png");
+    vec![
+        ("two photographs", zipped(&few), 422, "too-few-photographs", "", "there are 2 photographs"),
+        (
+            "no photograph",
+            with(photographs(), "c.png", "hello"),
+            422,
+            "image-rejected",
+            "c.png",
+            "not a readable",
+        ),
+        (
+            "an endless photograph",
+            with(photographs(), "c.png", endless_png()),
+            413,
+            "dataset-too-large",
+            "c.png",
+            "more than 16384 pixels",
+        ),
+        (
+            "a photograph of a telephone",
+            with(photographs(), "d.heic", "hello"),
+            422,
+            "image-rejected",
+            "d.heic",
+            "magick mogrify",
+        ),
+        ("no video", video(b"<html><body>"), 422, "dataset-rejected", "v.mp4", "not an MP4"),
+        ("half a video's name", video(b"\0\0\0\x14fty"), 422, "dataset-rejected", "v.mp4", "not an MP4"),
+        ("two videos", zipped(&two), 422, "dataset-rejected", "w.mov", "second video"),
+    ]
+}
+
 /// Files in folders of `data` that hold content: blobs, uploads, and what is staged.
 fn kept(data: &Path) -> Vec<String> {
     let mut found = Vec::new();
@@ -449,8 +489,12 @@ async fn every_kind_of_unusable_dataset_is_refused_by_its_type_and_leaves_nothin
     }
     let accepted = kept(data.path());
     let mut wrong = Vec::new();
-    for (what, archive, status, kind, file, words) in
-        archives().into_iter().chain(tables()).chain(points_and_images()).chain(masks())
+    for (what, archive, status, kind, file, words) in archives()
+        .into_iter()
+        .chain(tables())
+        .chain(points_and_images())
+        .chain(masks())
+        .chain(without_cameras())
     {
         for path in ["/v1/jobs", "/v1/scenes"] {
             let answer = service

@@ -153,6 +153,9 @@ async fn a_job_of_photographs_finds_their_cameras_once() {
         (&job["phase"], &job["progress"]["poses"]["reprojection_error"]),
         (&json!("poses"), &json!(0.5))
     );
+    let page = service.get(&format!("{path}/report")).await.expect(200);
+    let page = String::from_utf8(page.body.to_vec()).expect("UTF-8");
+    assert!(page.contains("cameras are found: mapping 48 of 48"), "{page}");
     let job = service.succeeded(&path).await;
     let events = service.get(&format!("{path}/events")).await.expect(200).json();
     let events = events["events"].as_array().expect("events").iter();

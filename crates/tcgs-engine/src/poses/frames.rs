@@ -275,7 +275,7 @@ mod tests {
     #[test]
     fn a_sharp_frame_has_more_contrast_than_the_same_blurred() {
         let sharp: Vec<u8> =
-            (0..WIDTH * HEIGHT).map(|i| if (i % WIDTH) / 8 % 2 == 0 { 40 } else { 200 }).collect();
+            (0..WIDTH * HEIGHT).map(|i| if ((i % WIDTH) / 8).is_multiple_of(2) { 40 } else { 200 }).collect();
         let mut blurred = sharp.clone();
         for row in 0..HEIGHT {
             for x in 2..WIDTH - 2 {
