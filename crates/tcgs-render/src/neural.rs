@@ -67,9 +67,13 @@ impl Kernels {
             count_gaussians: device.kernel(kernel_source!("count_gaussians"), &defs)?,
             spawn_gradient: device.kernel(kernel_source!("spawn_gradient"), &defs)?,
             feature_gradient: device.kernel(kernel_source!("feature_gradient"), &defs)?,
-            anchor_statistics: device.kernel(kernel_source!("anchor_statistics"), &defs)?,
+            anchor_statistics: statistics_kernel(device, &defs)?,
         })
     }
+}
+
+fn statistics_kernel(device: &Device, defs: &[(&str, u32)]) -> Result<Arc<Kernel>> {
+    Ok(device.kernel(kernel_source!("anchor_statistics"), defs)?)
 }
 
 /// The kernels that list the visible anchors.
@@ -532,7 +536,7 @@ impl NeuralGaussians {
     /// Faults of the device.
     pub fn count_views_with_gradient(&mut self) -> Result<()> {
         let defs: Vec<_> = self.layout.shape.defs().iter().copied().chain([("MASKED", 1)]).collect();
-        self.kernels.anchor_statistics = self.device.kernel(kernel_source!("anchor_statistics"), &defs)?;
+        self.kernels.anchor_statistics = statistics_kernel(&self.device, &defs)?;
         Ok(())
     }
 

@@ -269,7 +269,7 @@ fn photographs_of_a_format_that_is_not_read_are_refused_by_name() {
         &set,
         "there is 'images/4.heic', which is HEIC: convert it to PNG or JPEG, `magick mogrify -format jpg *.heic`",
     );
-    refused(&Set::default().with("IMG_1.heic", heic), "Its HEIC images are not read; convert them");
+    refused(&Set::default().with("IMG_1.heic", heic), "is a HEIC image, which is not read");
 }
 
 #[test]
