@@ -107,13 +107,17 @@ pub struct PlainGaussians {
     near: f32,
 }
 
+fn statistics_kernel(device: &Device, defs: &[(&str, u32)]) -> Result<Arc<Kernel>> {
+    Ok(device.kernel(kernel_source!("gaussian_statistics"), defs)?)
+}
+
 impl PlainGaussians {
     /// Prepares the kernels for degree 0.
     pub fn new(device: Arc<Device>, near: f32) -> Result<Self> {
         Ok(Self {
             degree: 0,
             kernels: Kernels::new(&device, 0)?,
-            gaussian_statistics: device.kernel(kernel_source!("gaussian_statistics"), &[("DEGREE", 0)])?,
+            gaussian_statistics: statistics_kernel(&device, &[("DEGREE", 0)])?,
             view: ViewUniform::zeroed(),
             gaussians: Gaussians::plan(0, 1).make(&device)?,
             gradients: None,
@@ -233,7 +237,7 @@ impl PlainGaussians {
     /// Faults of the device.
     pub fn count_views_with_gradient(&mut self) -> Result<()> {
         let defs = [("DEGREE", 0), ("MASKED", 1)];
-        self.gaussian_statistics = self.device.kernel(kernel_source!("gaussian_statistics"), &defs)?;
+        self.gaussian_statistics = statistics_kernel(&self.device, &defs)?;
         Ok(())
     }
 
