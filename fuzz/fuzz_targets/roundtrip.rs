@@ -2,7 +2,7 @@
 
 #[path = "../targets.rs"]
 mod targets;
-#[path = "../../tests/it/codec/wire.rs"]
+#[path = "../../crates/tcgs-codec/tests/it/wire.rs"]
 mod wire;
 
 libfuzzer_sys::fuzz_target!(|data: &[u8]| targets::roundtrip(data));

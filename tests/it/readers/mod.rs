@@ -77,3 +77,22 @@ fn every_target_is_fuzzed_and_has_a_corpus_that_is_replayed() {
         );
     }
 }
+
+/// The targets are of another workspace, which no other test compiles.
+#[test]
+fn the_targets_are_built_of_files_that_there_are() {
+    let folder = root().join("fuzz/fuzz_targets");
+    let mut paths = 0;
+    for name in names("fuzz/fuzz_targets") {
+        let text = fs::read_to_string(folder.join(&name)).expect("readable");
+        for line in text.lines() {
+            let Some(path) = line.strip_prefix("#[path = \"").and_then(|rest| rest.strip_suffix("\"]"))
+            else {
+                continue;
+            };
+            assert!(folder.join(path).is_file(), "{name}: there is no {path}");
+            paths += 1;
+        }
+    }
+    assert!(paths > 20, "{paths}");
+}
