@@ -59,6 +59,7 @@ struct Kernels {
     tile_ranges: Arc<Kernel>,
     raster_forward: Arc<Kernel>,
     raster_backward: Arc<Kernel>,
+    removal_loss: Arc<Kernel>,
     gather: Arc<Kernel>,
     clear_culled: Arc<Kernel>,
     project_backward: Arc<Kernel>,
@@ -87,11 +88,23 @@ impl Kernels {
             tile_ranges: device.kernel(kernel_source!("tile_ranges"), &[])?,
             raster_forward: device.kernel(kernel_source!("raster_forward"), &forward)?,
             raster_backward: device.kernel(kernel_source!("raster_backward"), &subgroups)?,
+            removal_loss: device
+                .kernel(kernel_source!("removal_loss"), &[("LANES", device.variant().choose(16, 64))])?,
             gather: gather_kernel(device)?,
             clear_culled: device.kernel(kernel_source!("clear_culled"), &[])?,
             project_backward: device.kernel(kernel_source!("project_backward"), &[])?,
         })
     }
+}
+
+/// A kernel that writes a row for each slot, and its input.
+struct SlotPass<'a> {
+    kernel: &'a Kernel,
+    /// A value for each pixel.
+    input: Binding<'a>,
+    pixels: usize,
+    /// Of the input.
+    name: &'static str,
 }
 
 /// Renders Gaussians and differentiates the rendering.
@@ -317,6 +330,40 @@ impl Rasterizer {
         d_image: &Buffer<[f32; 4]>,
         out: &GaussianGradients,
     ) -> Result<()> {
+        let kernel = Arc::clone(&self.kernels.raster_backward);
+        let pass =
+            SlotPass { kernel: &kernel, input: d_image, pixels: d_image.len(), name: "the image's gradient" };
+        self.over_slots(recorder, gaussians, camera, pass, out)
+    }
+
+    /// Records by how much the absolute error of the view against `photograph`, summed over channels and pixels that count, would
+    /// change without each Gaussian alone: the opacity's column of `out`. Follows the forward pass of the same camera and Gaussians.
+    ///
+    /// # Errors
+    /// As [`Rasterizer::backward`].
+    pub fn removal_loss(
+        &mut self,
+        recorder: &mut Recorder<'_>,
+        gaussians: &Gaussians,
+        camera: &Camera,
+        photograph: &Buffer<u32>,
+        out: &GaussianGradients,
+    ) -> Result<()> {
+        let kernel = Arc::clone(&self.kernels.removal_loss);
+        let pass =
+            SlotPass { kernel: &kernel, input: photograph, pixels: photograph.len(), name: "the photograph" };
+        self.over_slots(recorder, gaussians, camera, pass, out)
+    }
+
+    /// Records a pass over the slots of the last forward pass, and brings the sums of its rows to the Gaussians.
+    fn over_slots(
+        &mut self,
+        recorder: &mut Recorder<'_>,
+        gaussians: &Gaussians,
+        camera: &Camera,
+        pass: SlotPass<'_>,
+        out: &GaussianGradients,
+    ) -> Result<()> {
         let slots_in_spare = match self.rendered {
             Some((rendered, in_spare))
                 if rendered == *camera && gaussians.capacity == self.gaussians.capacity =>
@@ -327,7 +374,7 @@ impl Rasterizer {
         };
         check_columns(gaussians)?;
         check_gradients(out, gaussians.capacity)?;
-        check("the image's gradient", d_image.len(), self.image.image.len())?;
+        check(pass.name, pass.pixels, self.image.image.len())?;
         let slot_gradients = match &self.intersections.gradients {
             Some(buffer) => buffer.clone(),
             None => {
@@ -341,7 +388,7 @@ impl Rasterizer {
         let (own, lists, image) = (&self.gaussians, &self.intersections, &self.image);
         let by_slot = if slots_in_spare { &lists.by_tile.1 } else { &lists.by_tile.0 };
         recorder.dispatch(
-            &kernels.raster_backward,
+            pass.kernel,
             &[
                 view,
                 &image.ranges,
@@ -350,7 +397,7 @@ impl Rasterizer {
                 &own.splats,
                 &image.image,
                 &image.last,
-                d_image,
+                pass.input,
                 &slot_gradients,
             ],
             image.tiles,

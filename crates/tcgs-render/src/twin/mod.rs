@@ -12,7 +12,7 @@ use glam::{DVec2, DVec3};
 pub use picture::{pack_image, shade_depth};
 pub use raster::{
     BlendedImage, TileLists, clear_culled, compact, emit, gather, project, project_backward, raster_backward,
-    raster_forward, rotation, tile_counts, tile_lists, tile_ranges, touches,
+    raster_forward, removal_loss, rotation, tile_counts, tile_lists, tile_ranges, touches,
 };
 
 use super::Projection;

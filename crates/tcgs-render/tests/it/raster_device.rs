@@ -88,6 +88,58 @@ fn random_scenes_match_the_twin() {
 }
 
 #[test]
+fn removal_losses_match_the_twin() {
+    for (device, (seed, count, size), [width, height]) in variants().into_iter().flat_map(|device| {
+        [((1, 300, 0.1), [64, 48]), ((3, 50, 1.0), [33, 80])].map(|(s, c)| (device.clone(), s, c))
+    }) {
+        let camera = random::camera(width, height);
+        let gaussians = random::gaussians(seed, count, size);
+        let words: Vec<u32> = random::d_image(9, (width * height) as usize)
+            .iter()
+            .enumerate()
+            .map(|(i, [r, g, b, _])| {
+                let bytes = [r, g, b].map(|value| (value.abs().min(1.0) * 255.0) as u8);
+                u32::from_le_bytes([bytes[0], bytes[1], bytes[2], if i % 5 == 0 { 0 } else { 255 }])
+            })
+            .collect();
+        let settings = RasterSettings::default();
+        let mut rasterizer = Rasterizer::new(Arc::clone(&device), settings).expect("a rasterizer");
+        let uploaded = Scene::new(&gaussians).upload(&device);
+        let out = spoiled_gradients(&device, count);
+        let photograph = device.upload("photograph", &words).expect("room");
+        rasterizer
+            .submit_with_room("removal", |rasterizer, recorder| {
+                rasterizer.forward(recorder, &uploaded, &camera, BACKGROUND)
+            })
+            .expect("a view");
+        let mut recorder = device.recorder("removal");
+        rasterizer
+            .removal_loss(&mut recorder, &uploaded, &camera, &photograph, &out)
+            .expect("removal losses");
+        recorder.submit().expect("submitted");
+        let found: Vec<f64> = device
+            .read_range(&out.geometry, 0, count)
+            .expect("read")
+            .iter()
+            .map(|row| f64::from(row[3]))
+            .collect();
+
+        let projection = Projection::new(&camera, &settings);
+        let cutoffs = twin::Cutoffs::default();
+        let rendering =
+            twin::forward(&projection, &gaussians, DVec3::from(BACKGROUND.map(f64::from)), cutoffs);
+        let wanted: Vec<[f64; 4]> =
+            words.iter().map(|word| word.to_le_bytes().map(|byte| f64::from(byte) / 255.0)).collect();
+        let mut expected = vec![0.0; count];
+        for (slot, loss) in twin::removal_loss(&projection, &rendering, &wanted, cutoffs).iter().enumerate() {
+            expected[rendering.lists.slot_ids[slot] as usize] += loss;
+        }
+        let error = relative_l2(&found, &expected);
+        assert!(error < 1e-4, "{error:e}");
+    }
+}
+
+#[test]
 fn images_smaller_than_a_tile_and_of_one_pixel_match_the_twin() {
     matches_twin(5, 100, 0.2, 1, 1, RasterSettings::default());
     matches_twin(6, 100, 0.2, 3, 17, RasterSettings::default());

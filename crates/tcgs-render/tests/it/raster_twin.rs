@@ -71,6 +71,50 @@ fn check(settings: RasterSettings, change: impl Fn(&mut Gaussian)) {
     }
 }
 
+/// Red, green, blue and a weight of 0 or 1 a pixel.
+fn photograph(pixels: usize) -> Vec<[f64; 4]> {
+    random::d_image(11, pixels)
+        .iter()
+        .enumerate()
+        .map(|(i, [r, g, b, _])| {
+            let [r, g, b] = [r, g, b].map(|value| f64::from(value.abs().min(1.0)));
+            [r, g, b, if i % 7 == 0 { 0.0 } else { 1.0 }]
+        })
+        .collect()
+}
+
+#[test]
+fn the_removal_loss_is_the_change_of_the_error_without_the_gaussian() {
+    let camera = random::camera(21, 18);
+    let projection = Projection::new(&camera, &RasterSettings::default());
+    let background = DVec3::new(0.3, 0.6, 0.1);
+    let mut gaussians = random::gaussians(7, 12, 0.5);
+    // One is opaque, and one is hidden by it in part.
+    gaussians[3].opacity = 0.98;
+    let photograph = photograph(21 * 18);
+    let error = |gaussians: &[Gaussian]| -> f64 {
+        let image = twin::forward(&projection, gaussians, background, SMOOTH).frame.image;
+        let pixels = image.iter().zip(&photograph);
+        pixels.map(|(p, w)| w[3] * (0..3).map(|c| (p[c] - w[c]).abs()).sum::<f64>()).sum()
+    };
+    let rendering = twin::forward(&projection, &gaussians, background, SMOOTH);
+    let mut found = vec![0.0; gaussians.len()];
+    let slots = twin::removal_loss(&projection, &rendering, &photograph, SMOOTH);
+    for (slot, loss) in slots.iter().enumerate() {
+        found[rendering.lists.slot_ids[slot] as usize] += loss;
+    }
+    for i in 0..gaussians.len() {
+        let mut without = gaussians.clone();
+        without[i].opacity = 0.0;
+        let expected = error(&without) - error(&gaussians);
+        assert!(
+            (found[i] - expected).abs() <= 1e-9 * (1.0 + expected.abs()),
+            "Gaussian {i}: {} instead of {expected}",
+            found[i]
+        );
+    }
+}
+
 #[test]
 fn gradients_are_those_of_the_forward_pass() {
     check(RasterSettings::default(), |g| g.opacity *= 0.9);

@@ -162,6 +162,7 @@ kernels! {
         "tile_ranges": ONE.by_variant(),
         "raster_forward": SUBGROUPS.by_variant(),
         "raster_backward": SUBGROUPS.by_variant(),
+        "removal_loss": LANES,
         "gather": ONE.by_variant(),
         "clear_culled": ONE.by_variant(),
         "project_backward": ONE.by_variant(),
