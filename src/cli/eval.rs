@@ -104,7 +104,7 @@ pub(crate) fn run(args: &Args) -> Result<Report, CliError> {
         decode_sha256,
         adapter: renderer.adapter.clone(),
         background,
-        conventions: Conventions::new(lpips.as_ref().map(Lpips::network)),
+        conventions: Conventions::new(lpips.as_ref().map(Lpips::network)).of(args.reading.options().holdout),
         same_dataset,
     };
     let mut text = text(&metrics);

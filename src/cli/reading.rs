@@ -1,7 +1,7 @@
 //! The flags for what may be read in more than one way, as commands that read a dataset take them.
 
 use clap::builder::{PossibleValuesParser, TypedValueParser as _};
-use tcgs::domain::{ExifOrientation, MaskMode, MaskSource, ReadOptions};
+use tcgs::domain::{ExifOrientation, HoldOut, MaskMode, MaskSource, ReadOptions};
 
 /// How the files of a dataset are read.
 #[derive(Debug, Clone, clap::Args)]
@@ -28,16 +28,25 @@ pub(super) struct ReadFlags {
     /// Leave listed photographs that are missing out, rather than refuse the dataset
     #[arg(long)]
     skip_missing: bool,
+
+    /// Photographs to hold out: auto (the layout's own test views, else every eighth) or a sector of neighboring cameras
+    #[arg(
+        long,
+        default_value = "auto",
+        value_parser = PossibleValuesParser::new(HoldOut::NAMES).try_map(|name| name.parse::<HoldOut>())
+    )]
+    holdout: HoldOut,
 }
 
 impl ReadFlags {
     pub(super) fn options(&self) -> ReadOptions {
-        let Self { exif_orientation, masks, mask_mode, skip_missing } = self;
+        let Self { exif_orientation, masks, mask_mode, skip_missing, holdout } = self;
         ReadOptions {
             exif_orientation: *exif_orientation,
             masks: masks.clone(),
             mask_mode: *mask_mode,
             skip_missing: *skip_missing,
+            holdout: *holdout,
         }
     }
 }
@@ -48,4 +57,5 @@ pub(super) const LENIENT: ReadOptions = ReadOptions {
     masks: MaskSource::Auto,
     mask_mode: MaskMode::Auto,
     skip_missing: true,
+    holdout: HoldOut::Auto,
 };

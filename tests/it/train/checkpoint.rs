@@ -130,6 +130,20 @@ fn a_run_of_plain_gaussians_goes_on_from_any_step_too() {
 }
 
 #[test]
+fn a_run_that_prunes_to_a_number_goes_on_between_its_rounds() {
+    let plain = TrainOptions { model: ModelKind::Gaussians3d, ..options(STEPS, 7) };
+    let options = TrainOptions { target_gaussians: Some(50), ..plain };
+    // Rounds are from half to three quarters of the run.
+    let mut kept = Kept::at(|step| [STEPS / 2, STEPS / 2 + 1, STEPS * 5 / 8, STEPS].contains(&step));
+    let checkpoints = Checkpoints { resume: None, sink: Some(&mut kept) };
+    let (whole, reports) = outcome(&dataset(), &options, checkpoints).expect("a scene");
+    assert_eq!(reports.last().map(|report| report.gaussians), Some(50));
+    for (step, checkpoint) in &kept.checkpoints {
+        assert!(resumed(checkpoint, &options).0.scene == whole.scene, "another scene after step {step}");
+    }
+}
+
+#[test]
 fn a_run_from_random_points_goes_on_from_either_of_its_stages() {
     // In another frame than the world's; plain Gaussians up to step 18.
     let dataset = Dataset { points: None, ..scaled(&dataset(), 1e-3) };

@@ -367,6 +367,27 @@ fn plain_gaussians_learn_the_views_that_they_see_and_one_that_they_do_not() {
 }
 
 #[test]
+fn plain_gaussians_are_pruned_to_a_number_by_what_views_lose() {
+    let dataset = dataset();
+    let of = |target_gaussians, max_gaussians| {
+        let options = TrainOptions { target_gaussians, max_gaussians, ..plain(200, 0) };
+        let (trained, reports) = run(&dataset, &options);
+        let count = plain_scene(&trained.scene).len();
+        assert_eq!(reports.last().map(|report| report.gaussians), Some(count as u64));
+        (count, psnr(&trained.scene, &dataset, Split::Train))
+    };
+    let (few, pruned) = of(Some(20), None);
+    let (many, whole) = of(Some(100_000), None);
+    assert_eq!(few, 20);
+    assert!(many > 120, "fewer than the target all stay: {many}");
+    // Half of the limit are points at first.
+    let (capped, grown) = of(None, Some(20));
+    assert!(capped <= 20, "{capped}");
+    println!("{many} Gaussians {whole:.2} dB, pruned to 20 {pruned:.2} dB, grown to {capped} {grown:.2} dB");
+    assert!(pruned > grown, "pruned {pruned:.2} dB, grown {grown:.2} dB");
+}
+
+#[test]
 fn plain_gaussians_of_one_seed_are_the_same_bits_and_of_another_are_not() {
     let dataset = dataset();
     let (first, reports) = run(&dataset, &plain(60, 7));

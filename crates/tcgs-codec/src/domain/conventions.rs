@@ -7,7 +7,7 @@ use std::fmt;
 
 use serde::{Deserialize, Serialize};
 
-use super::choice::named_choice;
+use super::{HoldOut, choice::named_choice};
 
 named_choice! {
     /// The network that LPIPS compares features of; the figures of two networks cannot be compared.
@@ -45,11 +45,17 @@ impl Conventions {
             psnr: "dB, squared error pooled over pixels and the three channels, at most 100".to_owned(),
             ssim: "11x11 Gaussian window, sigma 1.5, zero padding, mean over pixels and channels".to_owned(),
             lpips: network.map(|network| format!("{network}-v0.1, inputs scaled to [-1, 1], spatial mean")),
-            held_out:
-                "the layout's own test views; without such, every eighth view by name from the first on"
-                    .to_owned(),
+            held_out: HoldOut::Auto.convention().to_owned(),
             means: "over views, of each view's figure".to_owned(),
         }
+    }
+}
+
+impl Conventions {
+    /// Of figures of views that are held out so.
+    #[must_use]
+    pub fn of(self, holdout: HoldOut) -> Self {
+        Self { held_out: holdout.convention().to_owned(), ..self }
     }
 }
 

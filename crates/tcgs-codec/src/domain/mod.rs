@@ -66,7 +66,7 @@ pub use orbit::Orbit;
 pub use photograph::{Photograph, PhotographError, PixelSource};
 pub use problem::{Problem, ProblemType};
 pub use progress::{CancelFlag, Phase, PoseProgress, PoseStage, Progress};
-pub use read_options::{ExifOrientation, MaskMode, MaskSource, ReadOptions};
+pub use read_options::{ExifOrientation, HoldOut, MaskMode, MaskSource, ReadOptions};
 pub use scene_frame::SceneFrame;
 pub use scene_scale::SceneScale;
 pub use series::{SERIES_POINTS, SeriesPoint, series_bucket, with_cumulative_seconds};

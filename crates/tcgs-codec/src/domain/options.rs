@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use thiserror::Error;
 
-use super::{ExifOrientation, MaskMode, MaskSource, ReadOptions, choice::named_choice};
+use super::{ExifOrientation, HoldOut, MaskMode, MaskSource, ReadOptions, choice::named_choice};
 
 /// Most iterations of a run.
 pub const MAX_ITERATIONS: u32 = 1_000_000;
@@ -16,6 +16,9 @@ pub const MIN_MAX_BYTES: u64 = 512;
 
 /// Most points of a rate-distortion curve.
 pub const MAX_CURVE_POINTS: usize = 8;
+
+/// Most Gaussians that a run may be asked for.
+pub const MAX_GAUSSIANS: u32 = 100_000_000;
 
 /// Why `until=converged` is refused.
 const UNTIL_REMOVED: &str = "runs no longer end early, since no trial of it saved a step; leave it out, and set iterations for a shorter run";
@@ -184,6 +187,12 @@ pub struct TrainOptions {
     pub lambda: Option<f64>,
     /// Target size of the written file: the most bytes that it may have.
     pub max_bytes: Option<u64>,
+    /// Number of Gaussians that a plain model is pruned to; serialized only if it is set.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub target_gaussians: Option<u32>,
+    /// Number of Gaussians that a plain model does not grow beyond; serialized only if it is set.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub max_gaussians: Option<u32>,
     /// Weights of the rate term, each for a branch of the run with its own file; empty for one run and one file.
     pub rd_curve: Vec<f64>,
     /// Whether photographs are turned as their EXIF orientation says; serialized only if it is stated.
@@ -198,6 +207,9 @@ pub struct TrainOptions {
     /// Whether listed photographs that are missing are left out; serialized only if they are.
     #[serde(skip_serializing_if = "is_false")]
     pub skip_missing: bool,
+    /// Which photographs are held out; serialized only if it is stated.
+    #[serde(skip_serializing_if = "is_usual_holdout")]
+    pub holdout: HoldOut,
 }
 
 /// Whether a number stays positive and normal in single precision.
@@ -229,6 +241,11 @@ fn is_false(value: &bool) -> bool {
     !value
 }
 
+#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde passes a reference")]
+fn is_usual_holdout(holdout: &HoldOut) -> bool {
+    *holdout == HoldOut::Auto
+}
+
 impl Default for TrainOptions {
     fn default() -> Self {
         Self {
@@ -243,11 +260,14 @@ impl Default for TrainOptions {
             with: BTreeSet::new(),
             lambda: None,
             max_bytes: None,
+            target_gaussians: None,
+            max_gaussians: None,
             rd_curve: Vec::new(),
             exif_orientation: ExifOrientation::Auto,
             masks: MaskSource::Auto,
             mask_mode: MaskMode::Auto,
             skip_missing: false,
+            holdout: HoldOut::Auto,
         }
     }
 }
@@ -256,12 +276,13 @@ impl TrainOptions {
     /// How the dataset is read.
     #[must_use]
     pub fn reading(&self) -> ReadOptions {
-        let Self { exif_orientation, masks, mask_mode, skip_missing, .. } = self;
+        let Self { exif_orientation, masks, mask_mode, skip_missing, holdout, .. } = self;
         ReadOptions {
             exif_orientation: *exif_orientation,
             masks: masks.clone(),
             mask_mode: *mask_mode,
             skip_missing: *skip_missing,
+            holdout: *holdout,
         }
     }
 
@@ -306,6 +327,7 @@ impl TrainOptions {
         self.check_without()?;
         self.check_with()?;
         self.check_max_bytes()?;
+        self.check_gaussians()?;
         self.check_rd_curve()?;
         Ok(self)
     }
@@ -360,6 +382,30 @@ impl TrainOptions {
                 error("is for one file, rd_curve for several; leave out one of them".to_owned())
             }
             Some(_) => Ok(()),
+        }
+    }
+
+    fn check_gaussians(&self) -> Result<(), OptionError> {
+        let (target, max) = (self.target_gaussians, self.max_gaussians);
+        for (option, number) in [("target_gaussians", target), ("max_gaussians", max)] {
+            let error = |text: String| Err(OptionError::new(option, text));
+            match number {
+                None => {}
+                Some(number) if !(1..=MAX_GAUSSIANS).contains(&number) => {
+                    return error(format!("{number} is outside 1..={MAX_GAUSSIANS}"));
+                }
+                Some(_) if self.model != ModelKind::Gaussians3d => {
+                    return error(format!("is for the model 3dgs; {} has anchors", self.model));
+                }
+                Some(_) => {}
+            }
+        }
+        match (target, max) {
+            (Some(target), Some(max)) if target > max => Err(OptionError::new(
+                "target_gaussians",
+                format!("{target} are more than the {max} that max_gaussians allows"),
+            )),
+            _ => Ok(()),
         }
     }
 
@@ -538,7 +584,7 @@ impl TrainOption {
 
 /// Every option of a training run. The command line's flags, the query string and JSON are read by it, and a test holds `openapi.yaml`
 /// to it.
-pub static TRAIN_OPTIONS: [TrainOption; 17] = [
+pub static TRAIN_OPTIONS: [TrainOption; 20] = [
     TrainOption {
         name: "preset",
         kind: OptionKind::Choice(Preset::NAMES),
@@ -647,6 +693,24 @@ pub static TRAIN_OPTIONS: [TrainOption; 17] = [
         set: |options, text| text.parse().ok().map(|bytes| options.max_bytes = Some(bytes)),
     },
     TrainOption {
+        name: "target_gaussians",
+        kind: OptionKind::Integer(1, MAX_GAUSSIANS as u64),
+        default: None,
+        help: Some(
+            "For the model 3dgs: train more Gaussians, prune them to this number by what the training views lose, train on",
+        ),
+        set: |options, text| text.parse().ok().map(|number| options.target_gaussians = Some(number)),
+    },
+    TrainOption {
+        name: "max_gaussians",
+        kind: OptionKind::Integer(1, MAX_GAUSSIANS as u64),
+        default: None,
+        help: Some(
+            "For the model 3dgs: grow to no more than this number of Gaussians [default: the preset's]",
+        ),
+        set: |options, text| text.parse().ok().map(|number| options.max_gaussians = Some(number)),
+    },
+    TrainOption {
         name: "rd_curve",
         kind: OptionKind::Positives(MAX_CURVE_POINTS),
         default: None,
@@ -690,6 +754,15 @@ pub static TRAIN_OPTIONS: [TrainOption; 17] = [
         default: Some("false"),
         help: Some("Leave listed photographs that are missing out, rather than refuse the dataset"),
         set: |options, text| text.parse().ok().map(|skip| options.skip_missing = skip),
+    },
+    TrainOption {
+        name: "holdout",
+        kind: OptionKind::Choice(HoldOut::NAMES),
+        default: Some("auto"),
+        help: Some(
+            "Photographs to hold out: auto (the layout's own test views, else every eighth) or a sector of neighboring cameras",
+        ),
+        set: |options, text| text.parse().ok().map(|holdout| options.holdout = holdout),
     },
 ];
 
@@ -744,6 +817,9 @@ mod tests {
             masks,
             mask_mode,
             skip_missing: true,
+            holdout: HoldOut::Sector,
+            target_gaussians: Some(1),
+            max_gaussians: Some(1),
             ..TrainOptions::default()
         };
         let all = TrainOptions { with, until: Until::Converged, ..stated };
@@ -922,6 +998,25 @@ mod tests {
             let error = set_option(&mut TrainOptions::default(), "max_bytes", text).expect_err(text);
             assert_eq!(error.option, "max_bytes");
         }
+    }
+
+    #[test]
+    fn numbers_of_gaussians_are_for_plain_gaussians_alone() {
+        let plain = ("model", "3dgs");
+        let both =
+            validated(&[plain, ("target_gaussians", "1000"), ("max_gaussians", "9000")]).expect("possible");
+        assert_eq!((both.target_gaussians, both.max_gaussians), (Some(1000), Some(9000)));
+        let json = serde_json::to_value(&both).expect("JSON");
+        assert_eq!((&json["target_gaussians"], &json["max_gaussians"]), (&json!(1000), &json!(9000)));
+        let usual = serde_json::to_value(TrainOptions::default()).expect("JSON");
+        assert!(usual.get("target_gaussians").is_none() && usual.get("max_gaussians").is_none());
+        for option in ["target_gaussians", "max_gaussians"] {
+            for wrong in [&[(option, "0"), plain][..], &[(option, "100000001"), plain], &[(option, "1000")]] {
+                assert_eq!(validated(wrong).expect_err("impossible").option, option, "{wrong:?}");
+            }
+        }
+        let more = validated(&[plain, ("target_gaussians", "1000"), ("max_gaussians", "999")]);
+        assert_eq!(more.expect_err("impossible").option, "target_gaussians");
     }
 
     #[test]

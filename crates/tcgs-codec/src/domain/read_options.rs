@@ -30,6 +30,31 @@ named_choice! {
     }
 }
 
+named_choice! {
+    /// Which photographs are held out.
+    pub enum HoldOut {
+        /// The layout's own test views; without such, every eighth by name.
+        Auto = "auto",
+        /// The eighth of all photographs whose cameras are nearest to that of the first by name.
+        Sector = "sector",
+    }
+}
+
+impl HoldOut {
+    /// In words that are stored with the figures.
+    #[must_use]
+    pub fn convention(self) -> &'static str {
+        match self {
+            HoldOut::Auto => {
+                "the layout's own test views; without such, every eighth view by name from the first on"
+            }
+            HoldOut::Sector => {
+                "a sector: the eighth of all views whose cameras are nearest to that of the first by name"
+            }
+        }
+    }
+}
+
 /// The longest path of a folder of masks, in characters.
 const MAX_FOLDER_CHARS: usize = 200;
 
@@ -101,6 +126,8 @@ pub struct ReadOptions {
     pub mask_mode: MaskMode,
     /// Whether listed photographs that are missing are left out, rather than the dataset refused.
     pub skip_missing: bool,
+    /// Which photographs are held out.
+    pub holdout: HoldOut,
 }
 
 impl Default for ReadOptions {
@@ -110,6 +137,7 @@ impl Default for ReadOptions {
             masks: MaskSource::Auto,
             mask_mode: MaskMode::Auto,
             skip_missing: false,
+            holdout: HoldOut::Auto,
         }
     }
 }

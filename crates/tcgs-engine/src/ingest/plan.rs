@@ -163,6 +163,25 @@ impl Plan {
         }
     }
 
+    /// Holds out the eighth of all frames whose cameras are nearest to that of the first by name; a single frame is for training.
+    /// Frames are sorted by name.
+    pub(super) fn hold_out_sector(&mut self) {
+        let Some(first) = self.frames.first().map(|frame| frame.pose.center()) else { return };
+        let mut order: Vec<usize> = (0..self.frames.len()).collect();
+        let distance = |index: &usize| (self.frames[*index].pose.center() - first).length_squared();
+        // Stable: the first by name among equals.
+        order.sort_by(|a, b| distance(a).total_cmp(&distance(b)));
+        let count = self.frames.len();
+        let held_out = if count == 1 { 0 } else { count.div_ceil(HOLD_OUT_EVERY) };
+        for (place, index) in order.into_iter().enumerate() {
+            self.frames[index].split = if place < held_out { Split::Test } else { Split::Train };
+        }
+        self.notes.push(format!(
+            "a sector is held out: the {held_out} photographs whose cameras are nearest to that of {}",
+            self.frames[0].name
+        ));
+    }
+
     /// The index of a lens, added unless it equals the one before.
     pub(super) fn lens(&mut self, lens: Lens) -> usize {
         if self.lenses.last() != Some(&lens) {

@@ -30,7 +30,8 @@ use super::{
     valid_region::{self, Kept},
 };
 use crate::domain::{
-    Camera, DatasetSummary, Image, Intrinsics, Layout, NamedCamera, PixelMask, PointCloud, ReadOptions, Split,
+    Camera, DatasetSummary, HoldOut, Image, Intrinsics, Layout, NamedCamera, PixelMask, PointCloud,
+    ReadOptions, Split,
 };
 
 /// Farthest camera from the origin that single precision can still work with.
@@ -206,7 +207,10 @@ pub(super) fn survey(
 ) -> Result<(Tree, Survey), IngestError> {
     let root = roots::find(&tree)?;
     let outside = if root.is_empty() { Vec::new() } else { tree.enter(&root) };
-    let plan = plan(&tree, &options.reading)?;
+    let mut plan = plan(&tree, &options.reading)?;
+    if options.reading.holdout == HoldOut::Sector {
+        plan.hold_out_sector();
+    }
     let masks = find_masks(&tree, &plan, &options.reading.masks)?;
     let Plan { layout, lenses, frames, points, listed, listings, mut noted, mut notes, .. } = plan;
     noted.extend(masks.of_frames.iter().flatten().cloned());

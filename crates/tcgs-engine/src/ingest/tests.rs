@@ -9,7 +9,7 @@ use super::{
     fixtures::{SIZE, Set, blender, colmap, file, nerfstudio, png},
     *,
 };
-use crate::domain::{Convention, DatasetSummary, Layout, ReadOptions, Split};
+use crate::domain::{Convention, DatasetSummary, HoldOut, Layout, ReadOptions, Split};
 
 fn refused(set: &Set) -> Problem {
     let directory = set.directory();
@@ -135,6 +135,36 @@ fn nerfstudio_and_colmap_hold_out_every_eighth_image_by_name() {
         let cameras = cameras(&written.path).expect("cameras");
         assert_eq!(check_with_cameras(&written.path), Ok((summary, cameras)));
     }
+}
+
+#[test]
+fn a_sector_is_the_eighth_of_all_cameras_next_to_the_first() {
+    let sector = ReadOptions { holdout: HoldOut::Sector, ..ReadOptions::default() };
+    let held_out = |set: &Set| {
+        let written = set.directory();
+        let dataset = load_as(&written.path, &sector, &LoadBudget::default(), &|| true).expect("a dataset");
+        let note = dataset.notes.iter().find(|note| note.contains("a sector is held out")).expect("a note");
+        let test: Vec<String> = names(&dataset, Split::Test).into_iter().map(str::to_owned).collect();
+        (test, names(&dataset, Split::Train).len(), note.clone())
+    };
+    // Half a circle, along which names go in another order.
+    let mut half_circle = Set::default();
+    let frames: Vec<String> = (0..16)
+        .map(|place| {
+            let name = format!("{:02}.png", place * 5 % 16);
+            half_circle = std::mem::take(&mut half_circle).with(&name, png(SIZE, [1, 2, 3, 255]));
+            let (y, x) = (f64::from(place) * std::f64::consts::PI / 16.0).sin_cos();
+            let matrix = format!("[[1,0,0,{x}],[0,1,0,{y}],[0,0,1,4],[0,0,0,1]]");
+            format!("{{\"file_path\": \"{name}\", \"transform_matrix\": {matrix}}}")
+        })
+        .collect();
+    let table = format!("{{\"fl_x\": 9, \"frames\": [{}]}}", frames.join(","));
+    let (names, training, note) = held_out(&half_circle.with("transforms.json", table));
+    assert_eq!((names, training), (vec!["00.png".to_owned(), "05.png".to_owned()], 14));
+    assert!(note.contains("the 2 photographs whose cameras are nearest to that of 00.png"), "{note}");
+    // A layout's own test views are among those to choose from.
+    let (names, training, _) = held_out(&blender());
+    assert_eq!((names, training), (vec!["test/r_0".to_owned()], 2));
 }
 
 #[test]

@@ -50,6 +50,7 @@ pub(super) fn train_file(
     let metrics = measure(inputs, options.background, &trained, &written, &mut || {
         report(Phase::Evaluate, &progress);
     })?;
+    let metrics = JobMetrics { conventions: metrics.conventions.of(options.holdout), ..metrics };
     Ok(TrainedFile { file: written.bytes, format: written.file.format, metrics })
 }
 

@@ -26,6 +26,7 @@ mod photographs;
 mod plain;
 mod prune_invisible;
 mod rate_control;
+mod removal_losses;
 mod scene_extent;
 mod scene_frame;
 mod schedule;

@@ -7,9 +7,9 @@
 
 use rand_pcg::Pcg64;
 
-use super::{Result, SizeAim, checkpoint::ModelState, trained::TrainedContext};
+use super::{Result, SizeAim, checkpoint::ModelState, photographs::Photographs, trained::TrainedContext};
 use crate::{
-    domain::{Camera, CancelFlag, Frame, Scene},
+    domain::{Background, Camera, CancelFlag, Frame, Scene},
     gpu::{Buffer, Recorder},
     render::{GaussianGradients, Gaussians, Rasterizer},
 };
@@ -33,6 +33,9 @@ pub(super) struct Views<'a> {
     pub raster: &'a mut Rasterizer,
     /// The training photographs, with cameras in the scene's frame.
     pub frames: &'a [Frame],
+    /// The photographs of `frames`, as the loss reads them.
+    pub photographs: &'a mut Photographs,
+    pub background: Background,
     pub cancel: &'a CancelFlag,
 }
 

@@ -28,7 +28,7 @@ pub(super) fn feature_sensitivity(
     gradients: &AnchorGradients,
     views: &mut Views<'_>,
 ) -> Result<Vec<f64>> {
-    let Views { raster, frames, cancel } = views;
+    let Views { raster, frames, cancel, .. } = views;
     let shape = anchors.shape;
     let mut sums = vec![0.0; shape.features * shape.features];
     let views = VIEWS.min(frames.len());

@@ -6,7 +6,7 @@ use std::{collections::BTreeMap, fmt, str::FromStr};
 
 use serde::{Deserialize, Deserializer, de::Error as _};
 use serde_json::Value;
-use tcgs_codec::domain::{Background, ModelKind, Preset, SceneFormat, TrainOptions};
+use tcgs_codec::domain::{Background, HoldOut, ModelKind, Preset, SceneFormat, TrainOptions};
 
 use super::variant::Variant;
 
@@ -69,6 +69,9 @@ pub struct Block {
     adapters: Vec<String>,
     #[serde(default)]
     background: Option<Background>,
+    /// A sector is held out instead of what the layout says.
+    #[serde(default)]
+    sector: bool,
 }
 
 fn first_seed() -> Vec<u64> {
@@ -165,9 +168,20 @@ pub struct PlannedRun {
     pub adapter: Option<String>,
 }
 
+impl PlannedRun {
+    /// The set as tables name it: with another split it is another set.
+    #[must_use]
+    pub fn set_name(&self) -> String {
+        match self.options.holdout {
+            HoldOut::Auto => self.set.clone(),
+            HoldOut::Sector => format!("{}-sector", self.set),
+        }
+    }
+}
+
 impl fmt::Display for PlannedRun {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{} {}", self.set, self.model)?;
+        write!(f, "{} {}", self.set_name(), self.model)?;
         if let Some(lambda) = self.options.lambda {
             write!(f, "@{lambda}")?;
         }
@@ -281,6 +295,7 @@ impl Block {
                     preset,
                     iterations: *iterations,
                     background,
+                    holdout: if self.sector { HoldOut::Sector } else { HoldOut::Auto },
                     ..TrainOptions::default()
                 });
             }
@@ -314,6 +329,16 @@ mod tests {
         lambda = [0.001, 0.004]
         seeds = [3, 5]
     "#;
+
+    #[test]
+    fn a_block_may_hold_out_a_sector_and_names_its_set_so() {
+        let text = "[[runs]]\nmodels = [\"3dgs\"]\nsector = true\n[[runs]]\nmodels = [\"3dgs:100\", \"3dgs:100-capped\"]";
+        let plan = Matrix::parse(text).expect("a matrix").plan(&["a".to_owned()]).expect("a plan");
+        let names: Vec<String> = plan.iter().map(ToString::to_string).collect();
+        assert_eq!(names, ["a-sector 3dgs seed 0", "a 3dgs:100 seed 0", "a 3dgs:100-capped seed 0"]);
+        assert_eq!(plan.iter().map(|run| run.options.holdout).next(), Some(HoldOut::Sector));
+        assert_eq!((plan[1].options.target_gaussians, plan[2].options.max_gaussians), (Some(100), Some(100)));
+    }
 
     #[test]
     fn every_combination_is_a_run_and_models_change_fastest() {

@@ -1,4 +1,4 @@
-//! A model as a matrix names it: a whole one, or the method with a part switched off or on.
+//! A model as a matrix names it: a whole one, the method with a part switched off or on, or plain Gaussians of a number.
 
 use std::{fmt, str::FromStr};
 
@@ -13,7 +13,12 @@ pub struct Variant {
     without: Option<Component>,
     /// The part that is switched on although it is off by default in short runs.
     with: Option<Component>,
+    /// The number of Gaussians, and whether growth ends at it; else more are pruned to it.
+    gaussians: Option<(u32, bool)>,
 }
+
+/// After the number of Gaussians that growth ends at.
+const CAPPED: &str = "-capped";
 
 impl Variant {
     /// The options of its runs, from those that all models share.
@@ -22,6 +27,8 @@ impl Variant {
             model: self.model,
             without: self.without.into_iter().collect(),
             with: self.with.into_iter().collect(),
+            target_gaussians: self.gaussians.filter(|(_, capped)| !capped).map(|(number, _)| number),
+            max_gaussians: self.gaussians.filter(|(_, capped)| *capped).map(|(number, _)| number),
             ..shared.clone()
         }
     }
@@ -36,6 +43,9 @@ impl fmt::Display for Variant {
         if let Some(part) = self.with {
             write!(f, "+{part}")?;
         }
+        if let Some((number, capped)) = self.gaussians {
+            write!(f, ":{number}{}", if capped { CAPPED } else { "" })?;
+        }
         Ok(())
     }
 }
@@ -43,11 +53,21 @@ impl fmt::Display for Variant {
 impl FromStr for Variant {
     type Err = String;
 
-    /// `3dgs`, `scaffold` or `tcgs`, the last with `-PART` or `+PART` after it, in this order.
+    /// `3dgs`, `scaffold` or `tcgs`, the last with `-PART` or `+PART` after it, in this order; `3dgs:NUMBER` is pruned to a number of
+    /// Gaussians, `3dgs:NUMBER-capped` grows to it.
     fn from_str(text: &str) -> Result<Self, String> {
         if text.contains('@') {
             return Err(format!("'{text}': weights have a list of their own, lambda"));
         }
+        let (text, gaussians) = match text.split_once(':') {
+            None => (text, None),
+            Some((model, number)) => {
+                let capped = number.ends_with(CAPPED);
+                let number = number.trim_end_matches(CAPPED);
+                let error = |_| format!("'{number}' is not a number of Gaussians");
+                (model, Some((number.parse().map_err(error)?, capped)))
+            }
+        };
         let part = |text: &str| text.parse::<Component>();
         let (name, with) = match text.split_once('+') {
             None => (text, None),
@@ -61,7 +81,7 @@ impl FromStr for Variant {
         if (without.is_some() || with.is_some()) && model != ModelKind::Tcgs {
             return Err(format!("'{text}': only tcgs has parts to leave out or to ask for"));
         }
-        let variant = Self { model, without, with };
+        let variant = Self { model, without, with, gaussians };
         variant.options(&TrainOptions::default()).validated().map_err(|error| error.error)?;
         Ok(variant)
     }
@@ -73,7 +93,7 @@ mod tests {
 
     #[test]
     fn variants_are_read_as_they_are_written() {
-        let whole = ["3dgs", "scaffold", "tcgs"];
+        let whole = ["3dgs", "scaffold", "tcgs", "3dgs:16000", "3dgs:16000-capped"];
         let parts = ["tcgs-wavelet", "tcgs+plane-compression", "tcgs-masks+plane-compression"];
         for text in whole.into_iter().chain(parts) {
             assert_eq!(text.parse::<Variant>().expect(text).to_string(), text);
@@ -89,6 +109,11 @@ mod tests {
             "scaffold+plane-compression",
             "scaffold-wavelet",
             "tcgs@0.1",
+            "tcgs:1000",
+            "3dgs:",
+            "3dgs:0",
+            "3dgs:many",
+            "3dgs:1000-pruned",
         ];
         for text in refused {
             assert!(text.parse::<Variant>().is_err(), "{text}");

@@ -125,8 +125,9 @@ impl Runner {
     fn kept(&self, run: &PlannedRun) -> Option<&RunRecord> {
         let adapter = self.adapter_of(run).to_string();
         let options = as_kept(&run.options)?;
+        let set_name = run.set_name();
         let key = RunKey {
-            set: &run.set,
+            set: &set_name,
             dataset: self.sets.get(&run.set)?.digest,
             model: &run.model,
             options: &options,
@@ -182,7 +183,7 @@ impl Runner {
             [intrinsics.width, intrinsics.height]
         };
         Ok(Ok(RunRecord {
-            set: run.set.clone(),
+            set: run.set_name(),
             dataset: set.digest,
             model: run.model.clone(),
             options: run.options.clone(),

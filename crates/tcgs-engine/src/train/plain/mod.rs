@@ -2,6 +2,7 @@
 //! optimizer of the other models.
 
 mod grow;
+mod prune;
 
 use std::sync::Arc;
 
@@ -235,6 +236,7 @@ impl ModelTrainer for PlainTrainer {
 
     fn adapts(&self, step: &Step) -> bool {
         self.next.as_ref().is_some_and(|next| next.begins_after(step))
+            || self.prunes_after(step.number)
             || self.schedule.densifies(step.number)
             || self.schedule.resets(step.number)
     }
@@ -245,7 +247,7 @@ impl ModelTrainer for PlainTrainer {
         Ok(Some(Box::new(next.begin(&self.device, &gaussians, step, rng)?)))
     }
 
-    fn adapt(&mut self, step: &Step, rng: &mut Pcg64, _views: &mut Views<'_>) -> Result<()> {
+    fn adapt(&mut self, step: &Step, rng: &mut Pcg64, views: &mut Views<'_>) -> Result<()> {
         let (grows, resets) = (self.schedule.densifies(step.number), self.schedule.resets(step.number));
         if grows || resets {
             let mut state = self.download()?;
@@ -257,7 +259,7 @@ impl ModelTrainer for PlainTrainer {
             }
             self.upload(&state)?;
         }
-        Ok(())
+        self.prune_after(step, views)
     }
 
     fn anchors(&self) -> usize {

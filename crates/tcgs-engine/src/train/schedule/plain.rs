@@ -26,6 +26,50 @@ const RECOVERY: u32 = 600;
 /// The largest factor of the rate of means.
 const MAX_SPEEDUP: f64 = 10.0;
 
+/// The screen gradient from which Gaussians grow that are to be pruned to a number: half the published one, so that there are more to
+/// choose from.
+const GROWTH_BEFORE_PRUNING: f32 = 1e-4;
+
+/// Rounds in which Gaussians are pruned to a number: in one, those that stand in for each other would all go.
+const PRUNING_ROUNDS: u32 = 8;
+
+/// When plain Gaussians are pruned to a number.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(in crate::train) struct PruningToNumber {
+    /// How many are left.
+    pub target: usize,
+    /// The first round is after this step,
+    pub from: u32,
+    /// and the last after this one.
+    pub until: u32,
+}
+
+impl PruningToNumber {
+    fn new(target: u32, from: u32, until: u32) -> Self {
+        Self { target: target as usize, from, until }
+    }
+
+    /// The step of a round, from 0.
+    fn step(&self, round: u32) -> u32 {
+        self.from
+            + (u64::from(self.until - self.from) * u64::from(round) / u64::from(PRUNING_ROUNDS - 1)) as u32
+    }
+
+    /// How many of `count` Gaussians stay after `step`: by the same factor in each of the rounds that are left. None where the step has
+    /// no round.
+    pub(in crate::train) fn kept_after(&self, step: u32, count: usize) -> Option<usize> {
+        let mut rounds = (0..PRUNING_ROUNDS).map(|round| self.step(round));
+        if !rounds.clone().any(|round| round == step) {
+            return None;
+        }
+        // Short runs have several rounds after a step, which are one.
+        let later = rounds.by_ref().filter(|round| *round > step).count() as f64;
+        let (count, target) = (count as f64, self.target as f64);
+        let share = later / (later + 1.0);
+        Some((target * (count / target).max(1.0).powf(share)).round() as usize)
+    }
+}
+
 /// When what happens to plain Gaussians, and how fast they learn.
 #[derive(Debug, Clone, PartialEq)]
 pub(in crate::train) struct PlainSchedule {
@@ -47,6 +91,8 @@ pub(in crate::train) struct PlainSchedule {
     pub growth_threshold: f32,
     /// Gaussians that growth does not go beyond.
     pub max_gaussians: usize,
+    /// None where all Gaussians stay.
+    pub pruning: Option<PruningToNumber>,
     /// Learning rate of means, before it is multiplied by the scene's extent.
     pub mean: Decay,
     /// Of the constant color.
@@ -77,12 +123,18 @@ impl PlainSchedule {
             reset_every,
             reset_first: options.background == Background::White && reset_every < densify_until,
             degree_every: part(1_000.0).max(1),
-            growth_threshold: 2e-4,
-            max_gaussians: match options.preset {
-                Preset::Preview => 100_000,
-                Preset::Standard => 500_000,
-                Preset::Paper => 2_000_000,
-            },
+            growth_threshold: if options.target_gaussians.is_some() { GROWTH_BEFORE_PRUNING } else { 2e-4 },
+            max_gaussians: options.max_gaussians.map_or(
+                match options.preset {
+                    Preset::Preview => 100_000,
+                    Preset::Standard => 500_000,
+                    Preset::Paper => 2_000_000,
+                },
+                |max| max as usize,
+            ),
+            pruning: options
+                .target_gaussians
+                .map(|target| PruningToNumber::new(target, densify_until, part(0.75 * 30_000.0))),
             mean: Decay::exponential(speed * 1.6e-4, speed * 1.6e-6),
             color: slower * 0.0025,
             coefficients: slower * 0.0025 / 20.0,
@@ -100,6 +152,7 @@ impl PlainSchedule {
             reset_first: false,
             degree_every: u32::MAX,
             max_gaussians,
+            pruning: None,
             ..self
         }
     }
@@ -174,6 +227,27 @@ mod tests {
         assert_eq!(rates(1), rates(300));
         assert!((rates(300)[0] / rates(30_000)[0] - MAX_SPEEDUP).abs() < 1e-9);
         assert!((rates(300)[1] / rates(30_000)[1] - MAX_SPEEDUP.sqrt()).abs() < 1e-5);
+    }
+
+    #[test]
+    fn pruning_to_a_number_takes_the_same_share_in_each_round_and_ends_at_it() {
+        for steps in [1, 2, 5, 30, 300, 10_000] {
+            let options = TrainOptions { target_gaussians: Some(1000), ..TrainOptions::default() };
+            let plain = PlainSchedule::new(&options, steps);
+            let pruning = plain.pruning.expect("a number");
+            let mut counts = vec![256_000];
+            for step in 1..=steps {
+                if let Some(kept) = pruning.kept_after(step, counts[counts.len() - 1]) {
+                    assert!(!plain.densifies(step), "{steps} steps: growth and pruning after step {step}");
+                    counts.push(kept);
+                }
+            }
+            assert_eq!(counts.last(), Some(&1000), "{steps} steps");
+            if steps >= 300 {
+                assert_eq!(counts, [256_000, 128_000, 64_000, 32_000, 16_000, 8000, 4000, 2000, 1000]);
+            }
+            assert_eq!(pruning.kept_after(pruning.until, 900), Some(1000), "fewer all stay");
+        }
     }
 
     #[test]

@@ -465,7 +465,13 @@ impl Run {
                     if let Some(next) = self.model.successor(&last, &mut self.state.rng)? {
                         self.model = next;
                     }
-                    let views = &mut Views { raster: &mut self.raster, frames: &self.frames, cancel };
+                    let views = &mut Views {
+                        raster: &mut self.raster,
+                        frames: &self.frames,
+                        photographs: &mut self.photographs,
+                        background: self.background,
+                        cancel,
+                    };
                     self.model.adapt(&last, &mut self.state.rng, views)?;
                     // It may have another renderer now.
                     self.tell_of_masks()?;
@@ -697,7 +703,13 @@ impl Run {
     }
 
     fn finish(mut self, cancel: &CancelFlag) -> Result<Trained> {
-        let views = &mut Views { raster: &mut self.raster, frames: &self.frames, cancel };
+        let views = &mut Views {
+            raster: &mut self.raster,
+            frames: &self.frames,
+            photographs: &mut self.photographs,
+            background: self.background,
+            cancel,
+        };
         let FinishedModel { scene, unrounded, context } = self.model.finish(views)?;
         let scene = scene.in_frame(self.frame);
         let unrounded = unrounded.map(|scene| scene.in_frame(self.frame));

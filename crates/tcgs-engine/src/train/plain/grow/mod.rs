@@ -73,7 +73,8 @@ impl TrainableGaussians {
         self.values.len() - 1
     }
 
-    fn retain(&mut self, keep: &[bool]) {
+    /// Removes the Gaussians that are not kept.
+    pub(super) fn retain(&mut self, keep: &[bool]) {
         self.values.retain(keep);
         self.first.retain(keep);
         self.second.retain(keep);

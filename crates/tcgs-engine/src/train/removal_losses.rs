@@ -1,0 +1,53 @@
+//! By how much the training views' error grows without a Gaussian.
+
+use super::{
+    Result, TrainError,
+    model_trainer::{ModelTrainer, Step, Views},
+};
+use crate::{domain::Frame, gpu::Device};
+
+/// For each candidate Gaussian of `model`, whose candidates are the same in every view, by how much the mean absolute error of all
+/// training views would change without it alone (METHOD.md §5). Photographs count by the pixels of them that count.
+///
+/// # Errors
+/// [`TrainError::Cancelled`] before the next view if the run is cancelled; errors of the device.
+pub(super) fn removal_losses<M: ModelTrainer>(
+    model: &mut M,
+    device: &Device,
+    step: &Step,
+    views: &mut Views<'_>,
+) -> Result<Vec<f64>> {
+    let Views { raster, frames, photographs, background, cancel } = views;
+    let mut losses = Vec::new();
+    for (index, Frame { camera, mask, .. }) in frames.iter().enumerate() {
+        if cancel.is_cancelled() {
+            return Err(TrainError::Cancelled);
+        }
+        loop {
+            let mut recorder = device.recorder("view to measure");
+            model.forward(&mut recorder, camera, step)?;
+            raster.forward(&mut recorder, model.gaussians(), camera, background.rgb())?;
+            recorder.submit()?;
+            match raster.take_forward_passes()?.required {
+                None => break,
+                Some(needed) => raster.reserve(needed)?,
+            }
+        }
+        let gaussians = model.gaussians().clone();
+        let out = model.gaussian_gradients()?;
+        let mut recorder = device.recorder("error without Gaussians");
+        let photograph = photographs.bring(&mut recorder, index)?;
+        raster.removal_loss(&mut recorder, &gaussians, camera, &photograph, &out)?;
+        recorder.submit()?;
+        let pixels = camera.intrinsics.width as usize * camera.intrinsics.height as usize;
+        let counted = mask.as_ref().map_or(pixels, |mask| mask.counted() as usize);
+        let weight = 1.0 / (3.0 * counted.max(1) as f64 * frames.len() as f64);
+        losses.resize(gaussians.capacity, 0.0);
+        for (loss, [.., sum]) in
+            losses.iter_mut().zip(device.read_range(&out.geometry, 0, gaussians.capacity)?)
+        {
+            *loss += weight * f64::from(sum);
+        }
+    }
+    Ok(losses)
+}
