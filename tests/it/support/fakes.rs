@@ -15,10 +15,10 @@ use tcgs::{
     domain::{
         AnchorScene, Background, ByteCounts, Camera, CancelFlag, CodingEfficiency, CodingStages, Conventions,
         CurvePoint, DatasetSummary, Digest, ExportFidelity, ExportedScene, HeldOut, HeldOutView, Image,
-        Intrinsics, JobId, JobMetrics, Lattice, Layout, LpipsNetwork, Mlp, NamedCamera, NearPlane, Phase,
-        PhaseSeconds, Pose, Problem, ProblemType, Progress, ReadOptions, RenderNetworks, RenderingError,
-        Scene, SceneFormat, SceneFrame, SceneScale, Scores, Split, TrainOptions, ViewScore, WorkerCounts,
-        Workers,
+        Intrinsics, JobId, JobMetrics, JobNeeds, Lattice, Layout, LpipsNetwork, MemoryNeeds, Mlp,
+        NamedCamera, NearPlane, Phase, PhaseSeconds, Pose, Problem, ProblemType, Progress, ReadOptions,
+        RenderNetworks, RenderingError, Scene, SceneFormat, SceneFrame, SceneScale, Scores,
+        Split, TrainOptions, ValueRange, ViewScore, WorkerCounts, Workers,
     },
     engine::{SceneEngine, SceneSource},
     pipeline::{CheckpointPlan, CurveFile, JobError, JobOutput, RunJob},
@@ -163,6 +163,7 @@ pub fn metrics() -> JobMetrics {
         seconds: PhaseSeconds::default(),
         steps: 10,
         steps_per_second: 5.0,
+        view_pixels: Some(1280),
         anchors: 1,
         gaussians: 1,
         psnr_before_quantisation: Some(30.5),
@@ -379,6 +380,14 @@ impl SceneEngine for FakeEngine {
             return Err(Problem::new(ProblemType::InvalidDataset, error).in_file("transforms.json"));
         }
         (self.check)(archive)
+    }
+
+    fn needs(&self, summary: &DatasetSummary, options: &TrainOptions) -> JobNeeds {
+        let unit = "anchors".to_owned();
+        let memory = MemoryNeeds { gpu_bytes: summary.pixels, host_bytes: 2, max_size: 3, unit };
+        let steps = u64::from(options.iterations.unwrap_or(2000));
+        let file_bytes = ValueRange { low: 100, high: 200 };
+        JobNeeds { steps, memory: Some(memory), file_bytes, notes: vec!["as the test wants it".into()] }
     }
 
     fn load(&self, file: &[u8]) -> Result<Viewable, Problem> {

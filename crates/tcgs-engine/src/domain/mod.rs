@@ -5,6 +5,7 @@ pub mod clock;
 pub mod dataset;
 mod exported_scene;
 pub mod failure_point;
+mod job_needs;
 mod pixel_mask;
 
 pub use causes::{causes, is_no_space};
@@ -12,5 +13,6 @@ pub use clock::{Clock, ManualClock, SystemClock};
 pub use dataset::{Dataset, DatasetSummary, Frame, Layout, NamedCamera, PointCloud, Split};
 pub use exported_scene::{ExportFidelity, ExportedScene};
 pub use failure_point::FailurePoint;
+pub use job_needs::{JobNeeds, MemoryNeeds, ValueRange};
 pub use pixel_mask::PixelMask;
 pub use tcgs_codec::domain::*;
