@@ -6,7 +6,7 @@ use super::{SceneEngine, SceneSource};
 use crate::{
     domain::{
         Camera, DatasetSummary, Digest, ExportedScene, JobNeeds, NamedCamera, Problem, ReadOptions,
-        SceneFormat, Split, TrainOptions,
+        SceneFormat, Similarity, Split, TrainOptions,
     },
     export::world::Origin,
     ingest::DatasetChecker,
@@ -82,7 +82,7 @@ fn export(
     let file = scene_file::read(&read()?)?;
     let trained = of_split(cameras, Split::Train);
     let from = (!trained.is_empty()).then_some(&*trained);
-    let exported = export_scene(&file, format, EXPORT_DEGREE, from, Origin::Nearby)?;
+    let exported = export_scene(&file, format, EXPORT_DEGREE, from, Origin::Nearby, &Similarity::NONE)?;
     let gaussians = u64::try_from(exported.gaussians).unwrap_or(u64::MAX);
     let held_out = of_split(cameras, Split::Test);
     let cameras = if held_out.is_empty() { trained } else { held_out };

@@ -11,9 +11,9 @@ pub use local::LocalEngine;
 use crate::{
     domain::{
         DatasetSummary, Digest, ExportedScene, JobNeeds, NamedCamera, Problem, ReadOptions, SceneFormat,
-        TrainOptions,
+        Similarity, TrainOptions,
     },
-    pipeline::{job_needs, scene_file},
+    pipeline::{exported::place, job_needs, scene_file},
     render::{RenderViews, views::Viewable},
 };
 
@@ -64,6 +64,14 @@ pub trait SceneEngine: Send + Sync {
         format: SceneFormat,
         cameras: &[NamedCamera],
     ) -> Result<ExportedScene, Problem>;
+
+    /// An exported `.ply`, turned and scaled, in any of the formats that scenes are exported to.
+    ///
+    /// # Errors
+    /// 422 for a scene that the format cannot hold.
+    fn place(&self, ply: &[u8], format: SceneFormat, similarity: &Similarity) -> Result<Vec<u8>, Problem> {
+        place(ply, format, similarity)
+    }
 
     /// How many viewer processes are alive; `None` if this process renders by itself.
     fn viewers(&self) -> Option<usize>;

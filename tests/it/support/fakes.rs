@@ -17,7 +17,7 @@ use tcgs::{
         CurvePoint, DatasetSummary, Digest, ExportFidelity, ExportedScene, HeldOut, HeldOutView, Image,
         Intrinsics, JobId, JobMetrics, JobNeeds, Lattice, Layout, LpipsNetwork, MemoryNeeds, Mlp,
         NamedCamera, NearPlane, Phase, PhaseSeconds, Pose, Problem, ProblemType, Progress, ReadOptions,
-        RenderNetworks, RenderingError, Scene, SceneFormat, SceneFrame, SceneScale, Scores,
+        RenderNetworks, RenderingError, Scene, SceneFormat, SceneFrame, SceneScale, Scores, Similarity,
         Split, TrainOptions, ValueRange, ViewScore, WorkerCounts, Workers,
     },
     engine::{SceneEngine, SceneSource},
@@ -418,6 +418,13 @@ impl SceneEngine for FakeEngine {
         let text = format!("{} from {trained} cameras of {} bytes", format.name(), file.len());
         let fidelity = (format == SceneFormat::Ply).then_some(ExportFidelity { psnr: 41.256, views: 2 });
         Ok(ExportedScene { bytes: text.into_bytes(), gaussians: 5, sh_degree: 3, fidelity })
+    }
+
+    fn place(&self, ply: &[u8], format: SceneFormat, similarity: &Similarity) -> Result<Vec<u8>, Problem> {
+        let (ply, turn) =
+            (String::from_utf8_lossy(ply), similarity.rotation().to_axis_angle().1.to_degrees());
+        let scale = similarity.scale();
+        Ok(format!("{} turned by {turn:.0} times {scale} of {ply}", format.name()).into_bytes())
     }
 
     fn viewers(&self) -> Option<usize> {

@@ -7,6 +7,7 @@ mod exported_scene;
 pub mod failure_point;
 mod job_needs;
 mod pixel_mask;
+mod placement;
 
 pub use causes::{causes, is_no_space};
 pub use clock::{Clock, ManualClock, SystemClock};
@@ -15,4 +16,5 @@ pub use exported_scene::{ExportFidelity, ExportedScene};
 pub use failure_point::FailurePoint;
 pub use job_needs::{JobNeeds, MemoryNeeds, ValueRange};
 pub use pixel_mask::PixelMask;
+pub use placement::{MAX_SCALE, Placement, PlacementError, Similarity, UpAxis};
 pub use tcgs_codec::domain::*;
