@@ -17,6 +17,7 @@ from tcgs_client.api.jobs import (
     cancel_job,
     create_job,
     delete_job,
+    estimate_job,
     export_scene,
     get_artifact,
     get_file,
@@ -37,6 +38,7 @@ from tcgs_client.models import (
     CreateUploadTusResumable,
     DeleteUploadTusResumable,
     ExportSceneFormat,
+    ExportSceneUp,
     FrameView,
     GetUploadTusResumable,
     JobRequest,
@@ -120,11 +122,16 @@ def main():
 
     key = str(uuid.uuid4())
     wish = JobRequest(scene_id=scene.id, iterations=steps)
+    estimate = expect(estimate_job.sync_detailed(client=client, body=wish), 200).parsed
+    assert estimate.steps == steps and estimate.train_seconds is None, "no job has finished"
+    assert estimate.memory.gpu_bytes > 0 and estimate.file_bytes.low <= estimate.file_bytes.high
     job = expect(create_job.sync_detailed(client=client, body=wish, idempotency_key=key), 201).parsed
     repeated = create_job.sync_detailed(client=client, body=wish, idempotency_key=key)
     assert expect(repeated, 201).parsed.id == job.id, "a repeated request makes nothing again"
     finished = follow(client, job.id)
     assert finished.metrics.steps == steps and finished.options.iterations == steps
+    estimate = expect(estimate_job.sync_detailed(client=client, body=wish), 200).parsed
+    assert estimate.finished_jobs.count == 1 and estimate.seconds.low < estimate.seconds.high
     expect(get_series.sync_detailed(job.id, client=client), 200)
     expect(get_report.sync_detailed(job.id, client=client), 200)
     assert [one.id for one in expect(list_jobs.sync_detailed(client=client), 200).parsed.jobs] == [job.id]
@@ -137,6 +144,10 @@ def main():
     assert part == file[4:10]
     export = expect(export_scene.sync_detailed(job.id, client=client, format_=ExportSceneFormat.SPZ), 200).content
     assert export.startswith(b"NGSP")
+    upright = export_scene.sync_detailed(
+        job.id, client=client, format_=ExportSceneFormat.PLY, up=ExportSceneUp.Y, scale=0.5
+    )
+    assert expect(upright, 200).content.startswith(b"ply")
     kinds = [one.kind.value for one in expect(list_artifacts.sync_detailed(job.id, client=client), 200).parsed.artifacts]
     assert "tcgs" in kinds and "spz" in kinds, kinds
 

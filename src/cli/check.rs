@@ -1,11 +1,16 @@
-//! `tcgs check`: whether a dataset can be trained on, and what it holds.
+//! `tcgs check`: whether a dataset can be trained on, what it holds, and what a job will take.
 
 use std::path::PathBuf;
 
 use serde::Serialize;
 use tcgs::domain::{DatasetSummary, Intrinsics, Layout, NamedCamera};
 
-use super::{CliError, Report, reading::ReadFlags, wiring};
+use super::{
+    CliError, Report,
+    estimate::{self, Estimate, EstimateFlags, estimate},
+    options::TrainFlags,
+    wiring,
+};
 
 /// Arguments of `tcgs check`.
 #[derive(Debug, clap::Args)]
@@ -14,7 +19,10 @@ pub(crate) struct Args {
     dataset: PathBuf,
 
     #[command(flatten)]
-    reading: ReadFlags,
+    options: TrainFlags,
+
+    #[command(flatten)]
+    estimate: EstimateFlags,
 
     /// Print one JSON document
     #[arg(long)]
@@ -29,13 +37,17 @@ struct Checked {
     /// Width and height of the images with the fewest and the most pixels, as they are trained on.
     smallest: [u32; 2],
     largest: [u32; 2],
+    /// What a job on it will take here.
+    estimate: Option<Estimate>,
 }
 
 /// Checks tables in full and images by their headers; an unusable dataset is the command's failure.
 pub(crate) fn run(args: &Args) -> Result<Report, CliError> {
-    let (summary, cameras) = wiring::survey_dataset(&args.dataset, &args.reading.options())?;
+    let options = args.options.validated()?;
+    let (summary, cameras) = wiring::survey_dataset(&args.dataset, &options.reading())?;
     let (smallest, largest) = sizes(&cameras);
-    let checked = Checked { summary, smallest, largest };
+    let estimate = estimate(&args.dataset, &summary, &cameras, &options, &args.estimate)?;
+    let checked = Checked { summary, smallest, largest, estimate: Some(estimate) };
     Ok(Report::new(text(&checked), &checked))
 }
 
@@ -49,7 +61,7 @@ fn sizes(cameras: &[NamedCamera]) -> ([u32; 2], [u32; 2]) {
 }
 
 fn text(checked: &Checked) -> String {
-    let Checked { summary, smallest, largest } = checked;
+    let Checked { summary, smallest, largest, estimate } = checked;
     let size = |[width, height]: &[u32; 2]| format!("{width}x{height}");
     let sizes =
         if smallest == largest { size(smallest) } else { format!("{} to {}", size(smallest), size(largest)) };
@@ -71,7 +83,7 @@ fn text(checked: &Checked) -> String {
     for note in &summary.notes {
         text += &format!("note         {note}\n");
     }
-    text
+    text + &estimate.as_ref().map_or_else(String::new, estimate::text)
 }
 
 #[cfg(test)]
@@ -99,7 +111,7 @@ mod tests {
         let notes = vec!["images undistorted: 3".to_owned(), "every eighth is held out".to_owned()];
         let summary =
             DatasetSummary { layout: Layout::Colmap, train: 7, test: 1, pixels: 9, points: None, notes };
-        let checked = Checked { summary, smallest: [800, 600], largest: [1600, 1200] };
+        let checked = Checked { summary, smallest: [800, 600], largest: [1600, 1200], estimate: None };
         assert_eq!(
             text(&checked),
             "layout       colmap\nphotographs  7 to train on, 1 held out\n\
@@ -111,7 +123,7 @@ mod tests {
         let summary =
             DatasetSummary { layout: Layout::Photographs, train: 7, test: 0, pixels: 9, points: None, notes };
         assert_eq!(
-            text(&Checked { summary, smallest: [0, 0], largest: [0, 0] }),
+            text(&Checked { summary, smallest: [0, 0], largest: [0, 0], estimate: None }),
             "layout       photographs\nphotographs  7, without cameras\nnote         a job finds them first\n"
         );
     }

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use clap::builder::{PossibleValuesParser, TypedValueParser as _};
 use serde::Serialize;
 use tcgs::{
-    domain::{Background, Camera, Dataset, Digest, Problem, SceneFormat, Split},
+    domain::{Background, Camera, Dataset, Digest, Placement, Problem, SceneFormat, Split, UpAxis},
     eval::Target,
     export::world::Origin,
 };
@@ -45,6 +45,21 @@ pub(crate) struct Args {
     #[arg(long)]
     world: bool,
 
+    /// Turn the scene so that this axis points up: x, y, z, -x, -y or -z. Its upward direction is that of the dataset's training
+    /// cameras, so --dataset is needed
+    #[arg(
+        long,
+        value_name = "AXIS",
+        allow_hyphen_values = true,
+        requires = "dataset",
+        value_parser = PossibleValuesParser::new(UpAxis::NAMES).try_map(|name| name.parse::<UpAxis>())
+    )]
+    up: Option<UpAxis>,
+
+    /// Multiply all lengths by this
+    #[arg(long, value_name = "X", default_value_t = 1.0)]
+    scale: f64,
+
     /// Do not measure the loss, which needs an adapter
     #[arg(long)]
     unmeasured: bool,
@@ -71,8 +86,18 @@ struct Summary {
     spz: Option<wiring::Packing>,
     /// Where the file's coordinates are in the world.
     place: wiring::Place,
+    /// How the scene was turned and scaled; null if it was not.
+    placement: Option<Placed>,
     /// Null if it was not to be measured.
     quality: Option<wiring::Quality>,
+}
+
+#[derive(Debug, Serialize)]
+struct Placed {
+    up: Option<UpAxis>,
+    scale: f64,
+    /// The rotation about the world's origin, w, x, y, z.
+    rotation: [f64; 4],
 }
 
 #[derive(Debug, Serialize)]
@@ -90,6 +115,8 @@ pub(crate) fn run(args: &Args) -> Result<Report, CliError> {
         Some(format) => format,
         None => format_of(&args.output)?,
     };
+    let placement = Placement { up: args.up, scale: args.scale };
+    let placement = placement.validated().map_err(|error| CliError::Usage(format!("--{error}")))?;
     files::check_output(&args.output, &args.file, &[format.extension()])?;
     let in_file = |problem: Problem| problem.in_file(args.file.display().to_string());
     let bytes = files::read(&args.file)?;
@@ -110,9 +137,11 @@ pub(crate) fn run(args: &Args) -> Result<Report, CliError> {
         false => Some(wiring::SceneViews::open(file.clone(), &args.adapter.adapter).map_err(unmeasurable)?),
     };
     let cameras = dataset.as_ref().map(training_cameras);
+    let similarity = placement.similarity(cameras.as_deref().unwrap_or_default());
+    let similarity = similarity.map_err(|error| CliError::Usage(format!("--{error}")))?;
     let origin = if args.world { Origin::World } else { Origin::Nearby };
-    let exported =
-        wiring::export(&file, format, args.sh_degree, cameras.as_deref(), origin).map_err(in_file)?;
+    let exported = wiring::export(&file, format, args.sh_degree, cameras.as_deref(), origin, &similarity)
+        .map_err(in_file)?;
     let source = Source {
         format: file.format,
         bytes: bytes.len(),
@@ -140,6 +169,11 @@ pub(crate) fn run(args: &Args) -> Result<Report, CliError> {
         baked: exported.baking,
         spz: exported.packing,
         place: exported.place,
+        placement: (!placement.is_none()).then(|| {
+            let turn = similarity.rotation();
+            let rotation = [turn.w, turn.x, turn.y, turn.z];
+            Placed { up: placement.up, scale: placement.scale, rotation }
+        }),
         quality,
     };
     Ok(Report::new(text(&summary), &summary))
@@ -174,7 +208,7 @@ fn held_out(dataset: &Dataset, background: Background) -> Result<Vec<(String, Ca
 }
 
 fn text(summary: &Summary) -> String {
-    let Summary { source, baked, spz, place, quality, .. } = summary;
+    let Summary { source, baked, spz, place, placement, quality, .. } = summary;
     let mut lines = vec![format!(
         "source    .{}, {} bytes; {} anchors, {} Gaussians",
         source.format.extension(),
@@ -207,6 +241,10 @@ fn text(summary: &Summary) -> String {
                  world coordinates"
             ),
         });
+    }
+    if let Some(Placed { up, scale, .. }) = placement {
+        let up = up.map_or_else(String::new, |up| format!("{up} points up, "));
+        lines.push(format!("placed    {up}lengths times {scale}"));
     }
     if let Some(quality) = quality {
         let from = format!("over {} views ({})", quality.views, quality.from);

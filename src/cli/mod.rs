@@ -17,6 +17,7 @@ mod decode;
 mod doctor;
 mod encode;
 mod error;
+mod estimate;
 mod eval;
 mod export;
 mod files;

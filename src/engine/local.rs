@@ -5,13 +5,15 @@ use std::{path::Path, sync::Arc};
 use super::{SceneEngine, SceneSource};
 use crate::{
     domain::{
-        Camera, DatasetSummary, Digest, ExportedScene, NamedCamera, Problem, ReadOptions, SceneFormat, Split,
+        Camera, DatasetSummary, Digest, ExportedScene, JobNeeds, NamedCamera, Problem, ReadOptions,
+        SceneFormat, Similarity, Split, TrainOptions,
     },
     export::world::Origin,
     ingest::DatasetChecker,
     pipeline::{
+        Machine,
         exported::{export as export_scene, fidelity},
-        scene_file,
+        job_needs, scene_file,
         scene_views::SceneViews,
     },
     render::RenderViews,
@@ -21,19 +23,31 @@ use crate::{
 pub struct LocalEngine {
     checker: DatasetChecker,
     views: Arc<dyn RenderViews>,
+    machine: Option<Machine>,
 }
 
 impl LocalEngine {
     /// With what checks datasets and what renders.
     #[must_use]
     pub fn new(checker: DatasetChecker, views: Arc<dyn RenderViews>) -> Self {
-        Self { checker, views }
+        Self { checker, views, machine: None }
+    }
+
+    /// With the machine that jobs run on.
+    #[must_use]
+    pub fn with_machine(self, machine: Machine) -> Self {
+        Self { machine: Some(machine), ..self }
     }
 }
 
 impl SceneEngine for LocalEngine {
     fn check(&self, archive: &Path, read: &ReadOptions) -> Result<DatasetSummary, Problem> {
         self.checker.check(archive, read)
+    }
+
+    fn needs(&self, summary: &DatasetSummary, options: &TrainOptions) -> JobNeeds {
+        let unknown = || "memory is unknown: the machine that jobs run on is not known".to_owned();
+        job_needs(summary, None, options, self.machine.as_ref().ok_or_else(unknown))
     }
 
     fn renderer(&self, _: Digest) -> Result<Arc<dyn RenderViews>, Problem> {
@@ -68,7 +82,7 @@ fn export(
     let file = scene_file::read(&read()?)?;
     let trained = of_split(cameras, Split::Train);
     let from = (!trained.is_empty()).then_some(&*trained);
-    let exported = export_scene(&file, format, EXPORT_DEGREE, from, Origin::Nearby)?;
+    let exported = export_scene(&file, format, EXPORT_DEGREE, from, Origin::Nearby, &Similarity::NONE)?;
     let gaussians = u64::try_from(exported.gaussians).unwrap_or(u64::MAX);
     let held_out = of_split(cameras, Split::Test);
     let cameras = if held_out.is_empty() { trained } else { held_out };

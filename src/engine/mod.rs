@@ -9,8 +9,11 @@ use bytes::Bytes;
 pub use local::LocalEngine;
 
 use crate::{
-    domain::{DatasetSummary, Digest, ExportedScene, NamedCamera, Problem, ReadOptions, SceneFormat},
-    pipeline::scene_file,
+    domain::{
+        DatasetSummary, Digest, ExportedScene, JobNeeds, NamedCamera, Problem, ReadOptions, SceneFormat,
+        Similarity, TrainOptions,
+    },
+    pipeline::{exported::place, job_needs, scene_file},
     render::{RenderViews, views::Viewable},
 };
 
@@ -29,6 +32,12 @@ pub trait SceneEngine: Send + Sync {
     /// # Errors
     /// What is wrong with it, and where.
     fn check(&self, archive: &Path, read: &ReadOptions) -> Result<DatasetSummary, Problem>;
+
+    /// What a job on a dataset needs besides time. Its memory is unknown where this process has no adapter.
+    fn needs(&self, summary: &DatasetSummary, options: &TrainOptions) -> JobNeeds {
+        let reason = "memory is unknown: jobs run on another machine than the one that answers";
+        job_needs(summary, None, options, Err(reason.to_owned()))
+    }
 
     /// Reads a finished scene's file of any format.
     ///
@@ -55,6 +64,14 @@ pub trait SceneEngine: Send + Sync {
         format: SceneFormat,
         cameras: &[NamedCamera],
     ) -> Result<ExportedScene, Problem>;
+
+    /// An exported `.ply`, turned and scaled, in any of the formats that scenes are exported to.
+    ///
+    /// # Errors
+    /// 422 for a scene that the format cannot hold.
+    fn place(&self, ply: &[u8], format: SceneFormat, similarity: &Similarity) -> Result<Vec<u8>, Problem> {
+        place(ply, format, similarity)
+    }
 
     /// How many viewer processes are alive; `None` if this process renders by itself.
     fn viewers(&self) -> Option<usize>;

@@ -8,6 +8,7 @@ mod auth;
 mod client_address;
 pub mod config;
 mod datasets;
+mod estimate;
 mod files;
 mod jobs;
 mod keys;
@@ -75,6 +76,7 @@ fn routes(state: AppState, more: Router<AppState>) -> Router {
         )
         .layer(map_response(uploads::tus::stamp));
     more.route("/v1/jobs", get(jobs::list::list).post(jobs::create::create))
+        .route("/v1/estimate", post(estimate::estimate))
         .route("/v1/jobs/{id}", get(jobs::get).delete(jobs::actions::delete))
         .route("/v1/jobs/{id}/cancel", post(jobs::actions::cancel))
         .route("/v1/jobs/{id}/retry", post(jobs::actions::retry))

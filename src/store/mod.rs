@@ -21,6 +21,7 @@ mod datasets;
 mod disk_full;
 mod error;
 mod exports;
+mod finished_runs;
 mod fsck;
 pub mod garbage;
 mod idempotency;
@@ -50,6 +51,7 @@ pub use datasets::{DatasetCreation, DatasetDeletion, DatasetPageKey, DatasetReco
 pub use disk_full::is_disk_full;
 pub use error::StoreError;
 pub use exports::{ExportRecord, FileRecord};
+pub use finished_runs::{FinishedRun, RUNS_LOOKED_AT};
 pub use fsck::{FsckReport, check as check_data_folder};
 pub use idempotency::{IdempotentRequest, PriorRequest};
 pub use keys::{KeyChange, KeyProject, KeyRecord, KeyRequest, NewKey, NewKeyError};

@@ -180,6 +180,48 @@ fn plain_gaussians_go_from_one_format_to_the_other_and_lower_degrees_are_smaller
     assert!(number(&said["quality"]["psnr_to_source"]) > 30.0, "{said}");
 }
 
+/// Views of the export from turned and scaled cameras are those of the scene, so the figures are those of an export in place.
+#[test]
+fn an_export_is_turned_and_scaled_and_looks_the_same_from_there() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let (file, dataset) = (scene_file(folder.path()), folder.path().join("photographs"));
+    sample::write(&dataset, &Settings { side: 32, points: 300, seed: 1 }).expect("writes");
+    let [whole, placed, packed] =
+        ["whole.ply", "placed.ply", "placed.spz"].map(|name| folder.path().join(name));
+    let in_place = answers(line!["export", file, "-o", whole, "--dataset", dataset, "--json"]);
+    assert_eq!(in_place["placement"], Value::Null);
+    for (out, lost) in [(&placed, 0.02), (&packed, 1.0)] {
+        let said = answers(line![
+            "export",
+            file,
+            "-o",
+            out,
+            "--dataset",
+            dataset,
+            "--json",
+            "--up",
+            "-x",
+            "--scale",
+            "0.01"
+        ]);
+        assert_eq!((&said["placement"]["up"], &said["placement"]["scale"]), (&json!("-x"), &json!(0.01)));
+        let [before, after] = [&in_place, &said].map(|said| number(&said["quality"]["psnr_to_source"]));
+        assert!((before - after).abs() < lost, "{before} and {after}");
+    }
+    let read = |path: &Path| from_ply(&std::fs::read(path).expect("a file")).expect("reads");
+    let (whole, placed) = (read(&whole), read(&placed));
+    // The bundled scene's upward axis is the third.
+    for ([_, _, up], turned) in whole.means.iter().zip(&placed.means) {
+        assert!((0.01 * up + turned[0]).abs() < 2e-4, "{up} became {turned:?}");
+    }
+    let output = folder.path().join("no.ply");
+    for flags in [&["--up", "z"][..], &["--scale", "0"], &["--scale", "nan"]] {
+        let mut arguments = line!["export", file, "-o", output];
+        arguments.extend(flags.iter().map(OsStr::new));
+        assert_eq!(tcgs(arguments).status.code(), Some(2), "{flags:?}");
+    }
+}
+
 /// A `.spz` does not say from where on a scene is seen.
 #[test]
 fn an_export_of_a_tiny_scene_is_compared_from_its_own_near_plane() {

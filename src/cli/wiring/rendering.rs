@@ -3,10 +3,11 @@
 use std::{error::Error, sync::Arc};
 
 use tcgs::{
-    domain::{Problem, SystemClock},
+    domain::{MemoryLimits, Problem, SystemClock},
     engine::{LocalEngine, SceneEngine},
-    gpu::AdapterChoice,
+    gpu::{AdapterChoice, AdapterReport},
     ingest::DatasetChecker,
+    pipeline::Machine,
     store::Store,
     viewers::{RemoteEngine, ViewerPool},
 };
@@ -23,11 +24,15 @@ pub(super) struct Rendering {
 /// Renders in this process.
 pub(super) fn local_rendering(
     adapter: &AdapterChoice,
-    memory: u64,
+    view_memory: u64,
+    job_memory: MemoryLimits,
     checker: DatasetChecker,
 ) -> Result<Rendering, Problem> {
-    let (views, _) = super::views(adapter, memory)?;
-    Ok(Rendering { engine: Arc::new(LocalEngine::new(checker, views)), watch: None })
+    let (views, _) = super::views(adapter, view_memory)?;
+    // Workers open the same adapter.
+    let machine = Machine { adapter: AdapterReport::of(adapter)?, memory: job_memory };
+    let engine = LocalEngine::new(checker, views).with_machine(machine);
+    Ok(Rendering { engine: Arc::new(engine), watch: None })
 }
 
 /// Leaves rendering to viewer processes.

@@ -122,7 +122,7 @@ pub(crate) fn serve(options: ServeOptions) -> Result<(), CliError> {
         let checker = || DatasetChecker::new(config.limits.checks, config.limits.check_time);
         let local = match options.remote_views {
             true => None,
-            false => Some(local_rendering(&options.adapter, options.view_memory, checker())?),
+            false => Some(local_rendering(&options.adapter, options.view_memory, options.memory, checker())?),
         };
         let listeners = http::bind(&config, has_keys).await.map_err(|error| unavailable(&error))?;
         let store = open_store(&options.storage, options.limits, OlderSchema::Migrate).await?;

@@ -20,6 +20,7 @@ use Scope::{Admin, DatasetsWrite, JobsWrite, Read};
 const OPERATIONS: &[(&str, &str, Access)] = &[
     ("POST", "/v1/jobs", Needs(JobsWrite)),
     ("GET", "/v1/jobs", Needs(Read)),
+    ("POST", "/v1/estimate", Needs(Read)),
     ("GET", "/v1/jobs/{id}", Needs(Read)),
     ("DELETE", "/v1/jobs/{id}", Needs(JobsWrite)),
     ("POST", "/v1/jobs/{id}/retry", Needs(JobsWrite)),

@@ -1,15 +1,19 @@
 //! Serves immutable files, whole or a range, with the digest of the whole (RFC 9110 §13, §14; RFC 9530). A whole file that does not have that
 //! digest is cut off before its end.
 
+use std::{convert::Infallible, ops::Range};
+
 use axum::{
     body::Body,
     http::{HeaderMap, HeaderValue, Method, StatusCode, header},
-    response::IntoResponse as _,
+    response::{IntoResponse as _, Response},
 };
 use base64::{Engine as _, engine::general_purpose::STANDARD};
+use bytes::Bytes;
+use futures_util::{Stream, stream};
 
 use crate::{
-    domain::{JobId, ProblemType},
+    domain::{Digest, JobId, ProblemType},
     http::{
         problem::{Answer as _, ApiResult, ProblemResponse},
         request::{ByteRange, Etag, IfMatch, not_modified, parse_range},
@@ -17,6 +21,9 @@ use crate::{
     },
     store::{ArtifactKind, BlobRef, FileRecord},
 };
+
+/// Bytes of a piece of a file in memory.
+const PIECE: usize = 64 << 10;
 
 /// A downloadable file.
 #[derive(Debug)]
@@ -55,15 +62,53 @@ pub(crate) fn media_type(kind: ArtifactKind) -> &'static str {
     }
 }
 
-/// Answers `GET` and `HEAD` of a file. `HEAD` is about the whole file, since ranges are defined for `GET` alone, and does not open it.
-pub(crate) async fn serve(state: &AppState, method: &Method, request: &HeaderMap, file: File) -> ApiResult {
-    let File { blob, media_type, name } = file;
+/// A file that is made for one answer, and what is kept until its last byte is sent.
+pub(crate) struct MadeFile<K> {
+    pub(crate) bytes: Bytes,
+    pub(crate) media_type: &'static str,
+    pub(crate) name: String,
+    pub(crate) kept: K,
+}
+
+/// Answers as [`serve`] does, with a file that is not among the blobs.
+pub(crate) fn serve_made<K: Send + 'static>(
+    method: &Method,
+    request: &HeaderMap,
+    made: MadeFile<K>,
+) -> ApiResult {
+    let MadeFile { bytes, media_type, name, kept } = made;
+    let blob = BlobRef { digest: Digest::of(&bytes), bytes: bytes.len() as u64 };
+    match answer(method, request, blob)? {
+        Answer::NotModified(response) => Ok(response),
+        Answer::Part { status, part, has_body } => {
+            let part_bytes = bytes.slice(part.start as usize..part.end as usize);
+            let body = if has_body { Body::from_stream(in_pieces(part_bytes, kept)) } else { Body::empty() };
+            respond((status, body), File { blob, media_type, name }, part)
+        }
+    }
+}
+
+/// The bytes in pieces; `kept` is dropped with the last of them.
+fn in_pieces<K>(bytes: Bytes, kept: K) -> impl Stream<Item = Result<Bytes, Infallible>> {
+    stream::unfold((bytes, kept), async |(mut bytes, kept)| {
+        let length = bytes.len().min(PIECE);
+        (length > 0).then(|| (Ok(bytes.split_to(length)), (bytes, kept)))
+    })
+}
+
+/// What a request gets of a file.
+enum Answer {
+    NotModified(Response),
+    Part { status: StatusCode, part: Range<u64>, has_body: bool },
+}
+
+fn answer(method: &Method, request: &HeaderMap, blob: BlobRef) -> ApiResult<Answer> {
     let etag = Etag::new(blob.digest);
     if etag.if_match(request) == IfMatch::Differs {
         return Err(ProblemType::PreconditionFailed.because("the file is not the one that If-Match names"));
     }
     if etag.is_in_if_none_match(request) {
-        return Ok(not_modified(&etag));
+        return Ok(Answer::NotModified(not_modified(&etag)));
     }
     let is_head = *method == Method::HEAD;
     let range = request.get(header::RANGE).filter(|_| !is_head && etag.allows_range(request));
@@ -72,19 +117,35 @@ pub(crate) async fn serve(state: &AppState, method: &Method, request: &HeaderMap
         ByteRange::Part(part) => (StatusCode::PARTIAL_CONTENT, part),
         ByteRange::Unsatisfiable => return Err(unsatisfiable(blob.bytes)),
     };
-    let body = if is_head || part.is_empty() {
+    let has_body = !is_head && !part.is_empty();
+    Ok(Answer::Part { status, part, has_body })
+}
+
+/// Answers `GET` and `HEAD` of a file. `HEAD` is about the whole file, since ranges are defined for `GET` alone, and does not open it.
+pub(crate) async fn serve(state: &AppState, method: &Method, request: &HeaderMap, file: File) -> ApiResult {
+    let blob = file.blob;
+    let (status, part, has_body) = match answer(method, request, blob)? {
+        Answer::NotModified(response) => return Ok(response),
+        Answer::Part { status, part, has_body } => (status, part, has_body),
+    };
+    let body = if !has_body {
         Body::empty()
     } else if part == (0..blob.bytes) {
         Body::from_stream(state.blobs().stream_whole(blob).await?)
     } else {
         Body::from_stream(state.blobs().stream_part(blob.digest, part.clone()).await?)
     };
+    respond((status, body), file, part)
+}
+
+fn respond((status, body): (StatusCode, Body), file: File, part: Range<u64>) -> ApiResult {
+    let File { blob, media_type, name } = file;
     let mut response = (status, body).into_response();
     let headers = response.headers_mut();
     headers.insert(header::CONTENT_TYPE, HeaderValue::from_static(media_type));
     headers.insert(header::CONTENT_LENGTH, HeaderValue::from(part.end - part.start));
     headers.insert(header::ACCEPT_RANGES, HeaderValue::from_static("bytes"));
-    headers.insert(header::ETAG, etag.value());
+    headers.insert(header::ETAG, Etag::new(blob.digest).value());
     headers.insert(header::CACHE_CONTROL, HeaderValue::from_static("private, max-age=31536000, immutable"));
     let mut text = |name: &'static str, value: String| {
         HeaderValue::try_from(value).map(|value| headers.insert(name, value))

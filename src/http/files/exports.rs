@@ -12,11 +12,14 @@ use glam::DVec3;
 use tokio::{runtime::Handle, task::spawn_blocking};
 
 use super::{
-    download::{File, serve},
+    download::{File, MadeFile, serve, serve_made},
     file_of, take_lambda,
 };
 use crate::{
-    domain::{Digest, ExportFidelity, ExportedScene, JobId, NamedCamera, SceneFormat, SceneFrame},
+    domain::{
+        Camera, Digest, ExportFidelity, ExportedScene, JobId, NamedCamera, Placement, PlacementError,
+        SceneFormat, SceneFrame, Similarity, Split, UpAxis,
+    },
     engine::SceneSource,
     http::{
         auth::cross_site::{FollowedLink, refuse_followed_link},
@@ -24,9 +27,10 @@ use crate::{
         jobs::OwnedJob,
         problem::{ApiResult, ProblemResponse},
         request::Parameters,
+        shared::ExportTurn,
         state::AppState,
     },
-    store::{ArtifactKind, ExportRecord, JobRecord},
+    store::{ArtifactKind, BlobRef, ExportRecord, JobRecord, SceneArtifact},
 };
 
 /// The formats that scenes are exported to.
@@ -49,20 +53,21 @@ pub(crate) async fn get(
 ) -> ApiResult {
     let format = take_format(&mut parameters)?;
     let lambda = take_lambda(&mut parameters)?;
+    let placement = take_placement(&mut parameters)?;
     parameters.finish()?;
     let source = file_of(&record, lambda)?;
-    let (blob, fidelity) = if source.format == format {
-        (source.blob, None)
-    } else {
-        let export = match existing_export(&state, record.job.id, source.blob.digest, format).await? {
-            Some(existing_export) => existing_export,
-            None => {
-                refuse_followed_link(link.as_deref())?;
-                export(&state, &record, source.blob.digest, format).await?
-            }
-        };
-        (export.blob, export.fidelity)
-    };
+    if !placement.is_none() {
+        refuse_followed_link(link.as_deref())?;
+        let (placed, similarity) = place(&state, &record, source, format, placement).await?;
+        let mut response = serve_made(&method, &request, placed)?;
+        if response.status().is_success()
+            && let Some(offset) = offset_of(&record, &similarity)
+        {
+            response.headers_mut().insert(EXPORT_OFFSET, offset);
+        }
+        return Ok(response);
+    }
+    let (blob, fidelity) = kept(&state, &record, source, format, link.as_deref()).await?;
     let file = File::new(record.job.id, ArtifactKind::Scene(format), source.lambda, blob);
     let mut response = serve(&state, &method, &request, file).await?;
     if response.status().is_success()
@@ -72,17 +77,86 @@ pub(crate) async fn get(
         response.headers_mut().insert(EXPORT_PSNR, psnr);
     }
     if response.status().is_success()
-        && let Some(offset) = offset_of(&record)
+        && let Some(offset) = offset_of(&record, &Similarity::NONE)
     {
         response.headers_mut().insert(EXPORT_OFFSET, offset);
     }
     Ok(response)
 }
 
+/// The scene in a format, kept or made now, and its fidelity where it was measured.
+async fn kept(
+    state: &AppState,
+    record: &JobRecord,
+    source: SceneArtifact,
+    format: SceneFormat,
+    link: Option<&FollowedLink>,
+) -> ApiResult<(BlobRef, Option<ExportFidelity>)> {
+    if source.format == format {
+        return Ok((source.blob, None));
+    }
+    let digest = source.blob.digest;
+    let export = match existing_export(state, record.job.id, digest, format).await? {
+        Some(existing_export) => existing_export,
+        None => {
+            refuse_followed_link(link)?;
+            export(state, record, digest, format).await?
+        }
+    };
+    Ok((export.blob, export.fidelity))
+}
+
+/// The scene turned and scaled: made of its `.ply`, which is kept, for this answer alone.
+async fn place(
+    state: &AppState,
+    record: &JobRecord,
+    source: SceneArtifact,
+    format: SceneFormat,
+    placement: Placement,
+) -> ApiResult<(MadeFile<ExportTurn>, Similarity)> {
+    let cameras: Vec<Camera> = match placement.up {
+        None => Vec::new(),
+        Some(_) => {
+            let all = cameras_of(state, record).await?.into_iter();
+            all.filter(|camera| camera.split == Split::Train).map(|camera| camera.camera).collect()
+        }
+    };
+    let similarity = placement.similarity(&cameras).map_err(|error| refused(&error))?;
+    let (ply, _) = kept(state, record, source, SceneFormat::Ply, None).await?;
+    // Kept until the last byte is sent: it bounds the files in memory.
+    let turn = state.exports.turn(record.project).await?;
+    let (services, runtime) = (state.services.clone(), Handle::current());
+    let placed = spawn_blocking(move || {
+        let ply = services.read(&runtime, ply.digest)?;
+        services.engine.place(&ply, format, &similarity)
+    });
+    let placed = placed.await;
+    let bytes = placed??.into();
+    let File { media_type, name, .. } =
+        File::new(record.job.id, ArtifactKind::Scene(format), source.lambda, source.blob);
+    Ok((MadeFile { bytes, media_type, name, kept: turn }, similarity))
+}
+
+/// 422 for what cannot be.
+fn refused(error: &PlacementError) -> ProblemResponse {
+    let text = error.to_string();
+    let (parameter, detail) = text.split_once(": ").unwrap_or(("up", &text));
+    ProblemResponse::parameter(parameter, detail)
+}
+
+fn take_placement(parameters: &mut Parameters) -> ApiResult<Placement> {
+    let up = parameters
+        .take("up")
+        .map(|text| text.parse::<UpAxis>().map_err(|error| ProblemResponse::parameter("up", error)));
+    let scale = parameters.take_as("scale", "a number")?.unwrap_or(1.0);
+    let placement = Placement { up: up.transpose()?, scale };
+    placement.validated().map_err(|error| refused(&error))
+}
+
 /// What exported coordinates of the job's scene are relative to; none where they are the world's.
-fn offset_of(record: &JobRecord) -> Option<HeaderValue> {
+fn offset_of(record: &JobRecord, similarity: &Similarity) -> Option<HeaderValue> {
     let frame = record.job.metrics.as_ref()?.frame.filter(SceneFrame::is_far_out)?;
-    let DVec3 { x, y, z } = frame.offset();
+    let DVec3 { x, y, z } = similarity.point(frame.offset());
     HeaderValue::try_from(format!("{x} {y} {z}")).ok()
 }
 

@@ -53,7 +53,7 @@ impl CreateJobRequest {
     }
 
     /// Reads a JSON object, which also names the dataset.
-    pub(super) fn from_json(content: &[u8]) -> ApiResult<(DatasetId, Self)> {
+    pub(crate) fn from_json(content: &[u8]) -> ApiResult<(DatasetId, Self)> {
         let mut object: Map<String, Value> = parse_json(content)?;
         let mut id = |name: &str| {
             let value = object.remove(name);

@@ -16,7 +16,7 @@ mod watcher;
 pub(super) use self::{
     auth_mode::AuthMode,
     checks::{Checks, OK},
-    export_queue::ExportQueue,
+    export_queue::{ExportQueue, ExportTurn},
     in_flight::{IdempotencyGuard, InFlight},
     reservations::{DiskReservation, Reservation, ReservationError, Reservations},
     slots::{Capacity, Slot, Slots},

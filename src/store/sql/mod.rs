@@ -17,6 +17,7 @@ mod db;
 mod events;
 mod exports;
 mod faults;
+mod finished_runs;
 mod idempotency;
 mod job_changes;
 mod keys;

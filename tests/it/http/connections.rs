@@ -63,6 +63,7 @@ pub(super) async fn bodies_that_break_off_or_dawdle_are_given_up(coverage: Cover
         ("POST", format!("{job}/views"), "application/json"),
         ("POST", format!("{job}/retry"), "application/json"),
         ("POST", "/v1/webhook-endpoints".to_owned(), "application/json"),
+        ("POST", "/v1/estimate".to_owned(), "application/json"),
         ("POST", "/v1/projects".to_owned(), "application/json"),
         ("PATCH", project.clone(), "application/json"),
         ("POST", "/v1/keys".to_owned(), "application/json"),

@@ -113,8 +113,8 @@ pub(super) async fn a_scene_is_exported_once_and_kept(coverage: Coverage) {
         assert!(packed.header("content-disposition").contains(".lambda-0.004.spz\""), "{:?}", packed.headers);
     }
 
-    let exports: Vec<Value> =
-        listed(&server, &job).await.into_iter().filter(|file| file["origin"] == "export").collect();
+    let kept = listed(&server, &job).await;
+    let exports: Vec<&Value> = kept.iter().filter(|file| file["origin"] == "export").collect();
     let kinds: Vec<&Value> = exports.iter().map(|file| &file["kind"]).collect();
     assert_eq!(kinds, ["ply", "spz", "spz3"]);
     let fidelity: Vec<&Value> = exports.iter().map(|file| &file["fidelity"]).collect();
@@ -124,6 +124,29 @@ pub(super) async fn a_scene_is_exported_once_and_kept(coverage: Coverage) {
         assert_eq!(file["lambda"], 0.004);
         server.get(file["href"].as_str().expect("a path")).await.expect(200);
     }
+
+    let placed = server.get(&format!("{job}/export?format=spz&scale=0.01")).await.expect(200);
+    let text = |turn: &str, ply: &[u8]| format!("spz turned by {turn} of {}", String::from_utf8_lossy(ply));
+    assert_eq!(placed.body, text("0 times 0.01", &first.body));
+    assert_eq!(placed.header("x-export-offset"), "5000 40000 0.1");
+    assert!(placed.header("content-disposition").contains(".lambda-0.004.spz\""), "{:?}", placed.headers);
+    let path = format!("{job}/export?format=spz&up=-z");
+    let turned = server.get(&path).await.expect(200);
+    assert!(turned.body.starts_with(b"spz turned by ") && !turned.body.starts_with(b"spz turned by 0"));
+    let part = server.send("GET", &path, |request| request.header("range", "bytes=4-9")).await.expect(206);
+    assert_eq!((&part.body[..], part.header("etag")), (&b"turned"[..], turned.header("etag")));
+    let head = server.send("HEAD", &path, |request| request).await.expect(200);
+    assert_eq!((head.body.len(), head.header("repr-digest")), (0, turned.header("repr-digest")));
+    let tag = turned.header("etag").to_owned();
+    server.send("GET", &path, |request| request.header("if-none-match", tag)).await.expect(304);
+    for (query, named) in
+        [("up=w", "up: "), ("scale=0", "scale: "), ("scale=x", "scale: "), ("scale=1e7", "scale: ")]
+    {
+        let path = format!("{job}/export?format=spz&{query}");
+        let detail = server.get(&path).await.expect_problem(422, "invalid-parameter");
+        assert!(detail.starts_with(named), "{query}: {detail}");
+    }
+    assert_eq!(listed(&server, &job).await.len(), kept.len(), "what is turned is not kept");
 
     let plain = server.upload("?model=3dgs", "succeed plain").await.expect(201);
     let plain = plain.header("location").to_owned();

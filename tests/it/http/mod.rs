@@ -5,6 +5,7 @@ mod access;
 mod artifacts;
 mod connections;
 mod cross_site;
+mod estimate;
 mod events;
 mod exports;
 mod figures;
@@ -91,6 +92,10 @@ scenarios! {
         jobs_are_listed_newest_first_page_by_page,
         a_queued_job_is_cancelled_at_once_and_a_running_one_soon,
         too_many_uploads_at_once_are_put_off,
+    }
+    estimate {
+        a_job_is_estimated_by_finished_jobs_and_nothing_is_created,
+        what_cannot_be_estimated_is_refused_or_noted,
     }
     events {
         a_stream_tells_everything_once_and_ends_with_the_job,

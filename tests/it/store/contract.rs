@@ -4,6 +4,7 @@ mod bucket;
 mod bucket_faults;
 mod datasets;
 mod exports;
+mod finished_runs;
 mod garbage;
 #[expect(clippy::duplicate_mod, reason = "one suite, over a folder and over a bucket")]
 #[path = "garbage.rs"]

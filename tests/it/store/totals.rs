@@ -127,7 +127,7 @@ pub(in crate::store) fn succeeded(file: &str) -> Outcome {
     Outcome::Succeeded { metrics: Box::new(metrics), artifacts }
 }
 
-fn problem() -> Problem {
+pub(super) fn problem() -> Problem {
     Problem::new(ProblemType::DeviceLost, "the adapter went away")
 }
 

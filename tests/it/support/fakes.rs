@@ -15,10 +15,10 @@ use tcgs::{
     domain::{
         AnchorScene, Background, ByteCounts, Camera, CancelFlag, CodingEfficiency, CodingStages, Conventions,
         CurvePoint, DatasetSummary, Digest, ExportFidelity, ExportedScene, HeldOut, HeldOutView, Image,
-        Intrinsics, JobId, JobMetrics, Lattice, Layout, LpipsNetwork, Mlp, NamedCamera, NearPlane, Phase,
-        PhaseSeconds, Pose, Problem, ProblemType, Progress, ReadOptions, RenderNetworks, RenderingError,
-        Scene, SceneFormat, SceneFrame, SceneScale, Scores, Split, TrainOptions, ViewScore, WorkerCounts,
-        Workers,
+        Intrinsics, JobId, JobMetrics, JobNeeds, Lattice, Layout, LpipsNetwork, MemoryNeeds, Mlp,
+        NamedCamera, NearPlane, Phase, PhaseSeconds, Pose, Problem, ProblemType, Progress, ReadOptions,
+        RenderNetworks, RenderingError, Scene, SceneFormat, SceneFrame, SceneScale, Scores, Similarity,
+        Split, TrainOptions, ValueRange, ViewScore, WorkerCounts, Workers,
     },
     engine::{SceneEngine, SceneSource},
     pipeline::{CheckpointPlan, CurveFile, JobError, JobOutput, RunJob},
@@ -163,6 +163,7 @@ pub fn metrics() -> JobMetrics {
         seconds: PhaseSeconds::default(),
         steps: 10,
         steps_per_second: 5.0,
+        view_pixels: Some(1280),
         anchors: 1,
         gaussians: 1,
         psnr_before_quantisation: Some(30.5),
@@ -381,6 +382,14 @@ impl SceneEngine for FakeEngine {
         (self.check)(archive)
     }
 
+    fn needs(&self, summary: &DatasetSummary, options: &TrainOptions) -> JobNeeds {
+        let unit = "anchors".to_owned();
+        let memory = MemoryNeeds { gpu_bytes: summary.pixels, host_bytes: 2, max_size: 3, unit };
+        let steps = u64::from(options.iterations.unwrap_or(2000));
+        let file_bytes = ValueRange { low: 100, high: 200 };
+        JobNeeds { steps, memory: Some(memory), file_bytes, notes: vec!["as the test wants it".into()] }
+    }
+
     fn load(&self, file: &[u8]) -> Result<Viewable, Problem> {
         load(file)
     }
@@ -409,6 +418,13 @@ impl SceneEngine for FakeEngine {
         let text = format!("{} from {trained} cameras of {} bytes", format.name(), file.len());
         let fidelity = (format == SceneFormat::Ply).then_some(ExportFidelity { psnr: 41.256, views: 2 });
         Ok(ExportedScene { bytes: text.into_bytes(), gaussians: 5, sh_degree: 3, fidelity })
+    }
+
+    fn place(&self, ply: &[u8], format: SceneFormat, similarity: &Similarity) -> Result<Vec<u8>, Problem> {
+        let (ply, turn) =
+            (String::from_utf8_lossy(ply), similarity.rotation().to_axis_angle().1.to_degrees());
+        let scale = similarity.scale();
+        Ok(format!("{} turned by {turn:.0} times {scale} of {ply}", format.name()).into_bytes())
     }
 
     fn viewers(&self) -> Option<usize> {

@@ -191,6 +191,9 @@ pub struct JobMetrics {
     pub steps: u64,
     /// Training steps per second, over the whole training phase.
     pub steps_per_second: f64,
+    /// Mean pixels of a training photograph; null for jobs of versions that did not record it.
+    #[serde(default)]
+    pub view_pixels: Option<u64>,
     /// Anchors in the file.
     pub anchors: u64,
     /// Offsets in the file that make a Gaussian.

@@ -5,12 +5,16 @@ pub mod clock;
 pub mod dataset;
 mod exported_scene;
 pub mod failure_point;
+mod job_needs;
 mod pixel_mask;
+mod placement;
 
 pub use causes::{causes, is_no_space};
 pub use clock::{Clock, ManualClock, SystemClock};
 pub use dataset::{Dataset, DatasetSummary, Frame, Layout, NamedCamera, PointCloud, Split};
 pub use exported_scene::{ExportFidelity, ExportedScene};
 pub use failure_point::FailurePoint;
+pub use job_needs::{JobNeeds, MemoryNeeds, ValueRange};
 pub use pixel_mask::PixelMask;
+pub use placement::{MAX_SCALE, Placement, PlacementError, Similarity, UpAxis};
 pub use tcgs_codec::domain::*;

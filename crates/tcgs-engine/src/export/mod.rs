@@ -5,6 +5,7 @@
 
 pub mod anchors;
 pub mod bake;
+pub mod placed;
 mod ply;
 mod ply_note;
 pub mod spz;

@@ -154,6 +154,29 @@ pub fn load_as(
     load_with(path, &Limits::default(), budget, &options)
 }
 
+/// As [`load_as`], with at most `most` of the photographs to train on, evenly along their order, and none that is held out.
+///
+/// # Errors
+/// As [`load_cancellable`].
+pub fn load_sample(
+    path: &Path,
+    reading: &ReadOptions,
+    most: usize,
+    budget: &LoadBudget,
+    should_continue: &(dyn Fn() -> bool + Sync),
+) -> Result<Dataset, IngestError> {
+    let reading = reading.clone();
+    let options = SurveyOptions { reading, decode_bytes: budget.memory_bytes, should_continue };
+    let limits = Limits::default();
+    let tree = Tree::open(Purpose::Load, path, &limits)?;
+    let faults = tree.disk_faults();
+    let loaded = survey(tree, &limits, &options).and_then(|(tree, mut survey)| {
+        survey.thin_out(most);
+        load_surveyed(tree, survey, &limits, budget, &options)
+    });
+    loaded.map_err(|error| faults.or(error))
+}
+
 /// Checks a dataset as far as possible without decoding pixels: the archive, the layout, poses, cameras, points, and
 /// the presence and size of every image.
 ///
@@ -225,6 +248,16 @@ fn load_tree(
     options: &SurveyOptions,
 ) -> Result<Dataset, IngestError> {
     let (tree, survey) = survey(tree, limits, options)?;
+    load_surveyed(tree, survey, limits, budget, options)
+}
+
+fn load_surveyed(
+    tree: Tree,
+    survey: Survey,
+    limits: &Limits,
+    budget: &LoadBudget,
+    options: &SurveyOptions,
+) -> Result<Dataset, IngestError> {
     let store = Store::new(&tree, &survey, budget)?;
     // Collected before the first error is taken, so that the same error is reported whatever thread is faster.
     let frames: Vec<Result<Frame, IngestError>> = survey

@@ -31,7 +31,7 @@ use super::{
 };
 use crate::domain::{
     Camera, DatasetSummary, HoldOut, Image, Intrinsics, Layout, NamedCamera, PixelMask, PointCloud,
-    ReadOptions, Split,
+    ReadOptions, Split, evenly_spaced::evenly_spaced,
 };
 
 /// Farthest camera from the origin that single precision can still work with.
@@ -83,6 +83,18 @@ impl Survey {
             points: self.point_count,
             notes: self.notes.clone(),
         }
+    }
+
+    /// Keeps at most `most` of the frames to train on, evenly along their order, and no others.
+    pub(super) fn thin_out(&mut self, most: usize) {
+        self.views.retain(|view| view.frame.split == Split::Train);
+        let places: Vec<usize> = (0..self.views.len()).collect();
+        let mut kept = evenly_spaced(&places, most).copied().peekable();
+        let mut place = 0;
+        self.views.retain(|_| {
+            place += 1;
+            kept.next_if_eq(&(place - 1)).is_some()
+        });
     }
 
     /// The cameras of the frames, in their order.

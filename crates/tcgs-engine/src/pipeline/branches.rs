@@ -112,6 +112,7 @@ mod tests {
             seconds: PhaseSeconds::default(),
             steps: 10,
             steps_per_second: 5.0,
+            view_pixels: None,
             anchors: 1,
             gaussians: 1,
             psnr_before_quantisation: None,

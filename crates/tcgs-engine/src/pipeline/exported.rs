@@ -5,11 +5,12 @@ use std::time::Instant;
 use crate::{
     domain::{
         Background, Camera, ExportFidelity, GaussianScene, Image, NearPlane, Problem, ProblemType, Scene,
-        SceneFormat, SceneFrame, evenly_spaced::evenly_spaced, harmonics,
+        SceneFormat, SceneFrame, Similarity, evenly_spaced::evenly_spaced, harmonics,
     },
     eval::{Target, mean_scores_with, psnr},
     export::{
         bake::{self, BakeSettings},
+        placed::placed,
         spz::{Packed, SpzVersion, to_spz},
         world::{Origin, Rounding, in_world_units, rounding},
     },
@@ -33,6 +34,9 @@ const SPHERE_SIDE: u32 = 320;
 /// Views in which a service compares an export with its source, and their longer side.
 const FIDELITY_VIEWS: usize = 8;
 const FIDELITY_SIDE: u32 = 256;
+
+/// The highest degree of spherical harmonics.
+const MAX_DEGREE: u8 = 3;
 
 /// What an anchor scene was baked from.
 #[derive(Debug, Serialize)]
@@ -77,6 +81,8 @@ pub struct Exported {
     pub place: Place,
     /// Its near plane, likewise.
     near: NearPlane,
+    /// From the source's world to its own.
+    similarity: Similarity,
 }
 
 /// Where the coordinates of an exported file are in the world.
@@ -107,7 +113,7 @@ pub struct Quality {
     pub adapter: String,
 }
 
-/// The file of a scene as plain Gaussians; anchors are baked from `cameras`, or from a sphere around them.
+/// The file of a scene as plain Gaussians, turned and scaled; anchors are baked from `cameras`, or from a sphere around them.
 ///
 /// # Errors
 /// 422 for a scene that the format cannot hold.
@@ -117,6 +123,7 @@ pub fn export(
     degree: u8,
     cameras: Option<&[Camera]>,
     origin: Origin,
+    similarity: &Similarity,
 ) -> Result<Exported, Problem> {
     let (source, baking) = match &file.scene {
         Scene::Gaussians(scene) => (lowered(scene.clone(), degree), None),
@@ -139,6 +146,7 @@ pub fn export(
         Origin::Nearby if is_export => source.clone(),
         origin => in_world_units(&source, origin),
     };
+    let scene = placed(&scene, similarity);
     let place =
         Place { offset: scene.frame.offset().to_array(), rounding: is_far_out.then(|| rounding(&source)) };
     let degree = scene.degree;
@@ -164,7 +172,17 @@ pub fn export(
         packing,
         place,
         near: scene.near,
+        similarity: *similarity,
     })
+}
+
+/// An exported `.ply`, turned and scaled, in any of the formats.
+///
+/// # Errors
+/// 422 for a scene that the format cannot hold.
+pub fn place(ply: &[u8], format: SceneFormat, similarity: &Similarity) -> Result<Vec<u8>, Problem> {
+    let file = scene_file::read(ply)?;
+    Ok(export(&file, format, MAX_DEGREE, None, Origin::Nearby, similarity)?.bytes)
 }
 
 /// Renders `source` and `exported`, as read back from its bytes, from the same cameras: those of `photographs`, which must be over
@@ -178,7 +196,9 @@ pub fn compare(
     background: Background,
     photographs: Option<&[(String, Camera, Target)]>,
 ) -> Result<Quality, Problem> {
+    let similarity = exported.similarity;
     let exported = exported_beside(source, exported, background)?;
+    let pair = |camera: &Camera| pair(source, &exported, camera, &similarity);
     let mut to_source = Vec::new();
     let (mut of_source, mut of_exported) = (None, None);
     let photographs = photographs.filter(|photographs| !photographs.is_empty());
@@ -186,7 +206,7 @@ pub fn compare(
         Some(photographs) => {
             let (mut before, mut after) = (Vec::new(), Vec::new());
             for (name, camera, photograph) in photographs {
-                let pair = pair(source, &exported, camera)?;
+                let pair = pair(camera)?;
                 to_source.push(pair.psnr);
                 before.push(photograph.score(name, &pair.source).ok_or_else(different)?);
                 after.push(photograph.score(name, &pair.exported).ok_or_else(different)?);
@@ -196,7 +216,7 @@ pub fn compare(
         }
         None => {
             for camera in sphere_of(&source.viewable.scene, SPHERE_CHECKS)? {
-                to_source.push(pair(source, &exported, &camera)?.psnr);
+                to_source.push(pair(&camera)?.psnr);
             }
         }
     }
@@ -220,10 +240,11 @@ pub fn fidelity(
     exported: &Exported,
     cameras: &[Camera],
 ) -> Result<Option<ExportFidelity>, Problem> {
+    let similarity = exported.similarity;
     let exported = exported_beside(source, exported, source.viewable.background)?;
     let (mut sum, mut views) = (0.0, 0_u32);
     for camera in evenly_spaced(cameras, FIDELITY_VIEWS) {
-        sum += pair(source, &exported, &camera.within(FIDELITY_SIDE))?.psnr;
+        sum += pair(source, &exported, &camera.within(FIDELITY_SIDE), &similarity)?.psnr;
         views += 1;
     }
     Ok((views > 0).then(|| ExportFidelity { psnr: sum / f64::from(views), views }))
@@ -253,8 +274,14 @@ struct Pair {
     psnr: f64,
 }
 
-fn pair(source: &SceneViews, exported: &SceneViews, camera: &Camera) -> Result<Pair, Problem> {
-    let (source, exported) = (source.view(camera)?, exported.view(camera)?);
+/// The view from `camera`, and the same view of the exported scene where it is now.
+fn pair(
+    source: &SceneViews,
+    exported: &SceneViews,
+    camera: &Camera,
+    similarity: &Similarity,
+) -> Result<Pair, Problem> {
+    let (source, exported) = (source.view(camera)?, exported.view(&similarity.camera(camera))?);
     let psnr = psnr(&source, &exported).ok_or_else(different)?;
     Ok(Pair { source, exported, psnr })
 }
@@ -335,10 +362,12 @@ mod tests {
         let scene = in_world_units(&scene, Origin::Nearby);
         let ply = scene_file::write_gaussians(&scene, Background::Black, None);
         let file = scene_file::read(&ply).expect("reads");
-        let again = export(&file, SceneFormat::Ply, 3, None, Origin::Nearby).expect("exports");
+        let again =
+            export(&file, SceneFormat::Ply, 3, None, Origin::Nearby, &Similarity::NONE).expect("exports");
         assert_eq!(again.bytes, ply);
         assert_eq!(again.place.offset, [10.0, 0.0, 0.0]);
-        let world = export(&file, SceneFormat::Ply, 3, None, Origin::World).expect("exports");
+        let world =
+            export(&file, SceneFormat::Ply, 3, None, Origin::World, &Similarity::NONE).expect("exports");
         assert_eq!(world.place.offset, [0.0; 3]);
         assert!(world.place.rounding.expect("is known").mean_shift > 0.0);
     }

@@ -53,6 +53,16 @@ impl<'a> RunInputs<'a> {
         evenly_spaced(&frames, max).copied().collect()
     }
 
+    /// Mean pixels of a training photograph.
+    pub(super) fn view_pixels(&self) -> Option<u64> {
+        let (mut views, mut pixels) = (0, 0);
+        for frame in self.dataset.split(Split::Train) {
+            views += 1;
+            pixels += u64::from(frame.image.width()) * u64::from(frame.image.height());
+        }
+        pixels.checked_div(views)
+    }
+
     /// Fails once the job is cancelled.
     pub(super) fn check_cancelled(&self) -> Result<(), JobError> {
         if self.cancel.is_cancelled() { Err(JobError::Cancelled) } else { Ok(()) }

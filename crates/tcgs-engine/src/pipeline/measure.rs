@@ -66,6 +66,7 @@ pub(super) fn measure(
         },
         steps: u64::from(trained.steps),
         steps_per_second: f64::from(trained.steps) / trained.seconds.max(1e-9),
+        view_pixels: inputs.view_pixels(),
         anchors: file.scene.anchors() as u64,
         gaussians: file.scene.gaussians() as u64,
         psnr_before_quantisation: before,

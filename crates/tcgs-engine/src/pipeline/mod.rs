@@ -3,9 +3,11 @@
 //! The reported figures are those of the file as read back from its own bytes.
 
 mod branches;
+mod calibrate;
 mod curve;
 mod encode;
 mod error;
+mod estimate;
 pub mod exported;
 mod held_out;
 mod inputs;
@@ -31,8 +33,10 @@ use std::{
 use jiff::SignedDuration;
 use tracing::Span;
 
+pub use calibrate::Calibration;
 pub use encode::encode;
 pub use error::JobError;
+pub use estimate::{Machine, job_needs};
 pub use inputs::ReferenceViews;
 pub use job::{CheckpointPlan, CurveFile, JobOutput, Resume, RunJob};
 

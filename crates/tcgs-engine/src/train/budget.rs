@@ -11,11 +11,12 @@ use super::{
     footprint::{AnchorFootprint, Footprint, PlainFootprint},
     memory_estimate::Part,
     photographs::AHEAD,
+    set_sizes::SetSizes,
 };
 use crate::{
-    domain::{Dataset, MemoryBudget, ModelKind, Split, TrainOptions},
+    domain::{Dataset, MemoryBudget, ModelKind, TrainOptions},
     eval::measuring_bytes,
-    gpu::{AdapterReport, CONSTANT_BYTES, buffer_bytes},
+    gpu::{AdapterReport, CONSTANT_BYTES},
     render::Rasterizer,
 };
 
@@ -61,24 +62,22 @@ impl<'a> Needs<'a> {
     /// Of a run on `dataset`.
     #[must_use]
     pub fn of(dataset: &Dataset, options: &TrainOptions, adapter: &'a AdapterReport) -> Self {
-        let sizes = || dataset.frames.iter().map(|frame| [frame.image.width(), frame.image.height()]);
-        let largest = sizes().max_by_key(|[w, h]| u64::from(*w) * u64::from(*h)).unwrap_or([1, 1]);
-        let cloud = dataset.points.as_ref().map_or(0, |points| points.positions.len());
-        let schedule = Schedule::new(options).for_points(cloud == 0);
+        Self::of_sizes(SetSizes::of(dataset), options, adapter)
+    }
+
+    /// Of a run on a dataset of these sizes.
+    #[must_use]
+    pub fn of_sizes(sizes: SetSizes, options: &TrainOptions, adapter: &'a AdapterReport) -> Self {
+        let SetSizes { largest, mixed, photographs, masked, packed, points } = sizes;
+        let schedule = Schedule::new(options).for_points(points == 0);
         Self {
             adapter,
             largest,
-            mixed: sizes().any(|size| size != largest),
-            photographs: dataset.bytes_in_memory(),
-            masked: dataset.frames.iter().any(|frame| frame.mask.is_some()),
-            packed: dataset
-                .split(Split::Train)
-                .filter(|frame| frame.image.bytes_in_memory() > 0)
-                .map(|frame| {
-                    buffer_bytes::<u32>(frame.image.width() as usize * frame.image.height() as usize)
-                })
-                .sum(),
-            points: if cloud > 0 { cloud } else { schedule.random_points },
+            mixed,
+            photographs,
+            masked,
+            packed,
+            points: if points > 0 { points } else { schedule.random_points },
             footprint: match options.model {
                 ModelKind::Tcgs | ModelKind::Scaffold => Box::new(AnchorFootprint {
                     shape: schedule.shape,

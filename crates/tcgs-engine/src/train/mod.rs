@@ -31,6 +31,7 @@ mod scene_extent;
 mod scene_frame;
 mod schedule;
 mod sensitivity;
+mod set_sizes;
 mod statistics;
 mod trained;
 mod trainer;
@@ -54,6 +55,7 @@ pub use schedule::{
     BaseQuantStepRule, CompressionSchedule, CompressionStage, Decay, DecayShape, MaskSchedule, Schedule,
     schedule_table,
 };
+pub use set_sizes::SetSizes;
 pub use statistics::Statistics;
 pub use trained::{Trained, TrainedContext};
 pub use trainer::{Checkpoints, STEP_RECORDING, Trainer};

@@ -86,6 +86,14 @@ pub struct AdapterReport {
 }
 
 impl AdapterReport {
+    /// The adapter that a choice opens.
+    ///
+    /// # Errors
+    /// [`GpuError::NoAdapter`].
+    pub fn of(choice: &AdapterChoice) -> Result<Self, GpuError> {
+        Ok(describe(&choose(choice)?))
+    }
+
     /// Whether kernels run on the CPU.
     #[must_use]
     pub fn is_software(&self) -> bool {

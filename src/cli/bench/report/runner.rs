@@ -7,7 +7,9 @@ use std::{
 };
 
 use tcgs::{
-    domain::{Dataset, Digest, ModelKind, Phase, Problem, Progress, SceneFormat, Split, TrainOptions},
+    domain::{
+        Dataset, Digest, ModelKind, Phase, Problem, Progress, SceneFormat, Similarity, Split, TrainOptions,
+    },
     eval::Target,
     export::world::Origin,
     gpu::AdapterChoice,
@@ -261,7 +263,8 @@ fn export(
     format: SceneFormat,
 ) -> Result<ExportRecord, CliError> {
     let cameras: Vec<_> = dataset.split(Split::Train).map(|frame| frame.camera).collect();
-    let exported = wiring::export(file, format, MAX_DEGREE, Some(&cameras), Origin::Nearby)?;
+    let exported =
+        wiring::export(file, format, MAX_DEGREE, Some(&cameras), Origin::Nearby, &Similarity::NONE)?;
     let background = file.background;
     let mut photographs = Vec::new();
     for frame in dataset.split(Split::Test) {

@@ -324,7 +324,8 @@ impl Schedule {
     }
 
     /// The size that growth may reach: anchors, or plain Gaussians.
-    pub(super) fn max_size(&self) -> usize {
+    #[must_use]
+    pub fn max_size(&self) -> usize {
         if self.model == ModelKind::Gaussians3d { self.plain.max_gaussians } else { self.max_anchors }
     }
 
