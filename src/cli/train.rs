@@ -200,8 +200,10 @@ pub(super) fn text(metrics: &JobMetrics) -> String {
         value.map_or_else(|| "none".to_owned(), |value| format!("{value:.digits$}{unit}"))
     };
     let lossless = figure(metrics.psnr_before_quantisation, 2, " dB");
+    let halves = metrics.color_fit.map_or_else(String::new, |fit| format!("halves    {fit}\n"));
     format!(
         "test      PSNR {} (before quantization {lossless})  SSIM {}{}  over {} views on {}\n\
+         {halves}\
          train     PSNR {}  SSIM {}  over {} views\n\
          size      {} bytes; {} anchors, {} Gaussians\n\
          time      {:.1} s training, {} steps, {:.2} steps/s; {:.2} s encoding, {:.2} s decoding\n\

@@ -13,12 +13,12 @@ use std::{
 use glam::DVec3;
 use tcgs::{
     domain::{
-        AnchorScene, Background, ByteCounts, Camera, CancelFlag, CodingEfficiency, CodingStages, Conventions,
-        CurvePoint, DatasetSummary, Digest, ExportFidelity, ExportedScene, HeldOut, HeldOutView, Image,
-        Intrinsics, JobId, JobMetrics, Lattice, Layout, LpipsNetwork, Mlp, NamedCamera, NearPlane, Phase,
-        PhaseSeconds, Pose, Problem, ProblemType, Progress, ReadOptions, RenderNetworks, RenderingError,
-        Scene, SceneFormat, SceneFrame, SceneScale, Scores, Split, TrainOptions, ViewScore, WorkerCounts,
-        Workers,
+        AnchorScene, Background, ByteCounts, Camera, CancelFlag, CodingEfficiency, CodingStages,
+        ColorFitScores, Conventions, CurvePoint, DatasetSummary, Digest, ExportFidelity, ExportedScene,
+        HeldOut, HeldOutView, Image, Intrinsics, JobId, JobMetrics, Lattice,
+        Layout, LpipsNetwork, Mlp, NamedCamera, NearPlane, Phase, PhaseSeconds, Pose, Problem, ProblemType,
+        Progress, ReadOptions, RenderNetworks, RenderingError, Scene, SceneFormat, SceneFrame, SceneScale,
+        Scores, Split, TrainOptions, ViewScore, WorkerCounts, Workers,
     },
     engine::{SceneEngine, SceneSource},
     pipeline::{CheckpointPlan, CurveFile, JobError, JobOutput, RunJob},
@@ -182,6 +182,7 @@ pub fn metrics() -> JobMetrics {
             cutoff_rmse: 1e-4,
         }),
         frame: SceneFrame::around([5e5, 4e6, 10.0].into(), 6.0),
+        color_fit: Some(ColorFitScores { views: 2, psnr: 29.5, corrected_psnr: 31.25 }),
         rd_curve: Vec::new(),
     }
 }

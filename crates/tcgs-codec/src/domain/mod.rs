@@ -53,8 +53,8 @@ pub use metadata::{
     MAX_LABEL_KEY, MAX_LABEL_VALUE, MAX_LABELS, MAX_NAME, Metadata, MetadataError, valid_name,
 };
 pub use metrics::{
-    ByteBudget, ByteCounts, CodingEfficiency, CodingStages, CurvePoint, GroupQstepLog2, JobMetrics,
-    PhaseSeconds, RenderingError, Scores, ViewScore,
+    ByteBudget, ByteCounts, CodingEfficiency, CodingStages, ColorFitScores, CurvePoint, GroupQstepLog2,
+    JobMetrics, PhaseSeconds, RenderingError, Scores, ViewScore,
 };
 pub use metrics_table::{csv_cell, metrics_columns};
 pub use near_plane::NearPlane;

@@ -125,6 +125,7 @@ mod tests {
             stages: None,
             rendering: None,
             frame: None,
+            color_fit: None,
             rd_curve: Vec::new(),
         };
         FinishedBranch { file: b"a file".to_vec(), metrics }
