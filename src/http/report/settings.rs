@@ -101,6 +101,10 @@ fn course(metrics: &JobMetrics) -> Rows {
         let corrected = figure(Some(fit.corrected_psnr), 2);
         rows.push(row("with color corrections fitted to left halves, dB", corrected));
     }
+    if let Some(choice) = &metrics.exposure {
+        let state = if choice.corrected { "on" } else { "off" };
+        rows.push(row("color corrections of photographs", format!("{state}: {}", choice.because())));
+    }
     rows
 }
 

@@ -15,7 +15,7 @@ use tcgs::{
     domain::{
         AnchorScene, Background, ByteCounts, Camera, CancelFlag, CodingEfficiency, CodingStages,
         ColorFitScores, Conventions, CurvePoint, DatasetSummary, Digest, ExportFidelity, ExportedScene,
-        HeldOut, HeldOutView, Image, Intrinsics, JobId, JobMetrics, Lattice,
+        ExposureChoice, ExposureTrial, HeldOut, HeldOutView, Image, Intrinsics, JobId, JobMetrics, Lattice,
         Layout, LpipsNetwork, Mlp, NamedCamera, NearPlane, Phase, PhaseSeconds, Pose, Problem, ProblemType,
         Progress, ReadOptions, RenderNetworks, RenderingError, Scene, SceneFormat, SceneFrame, SceneScale,
         Scores, Split, TrainOptions, ViewScore, WorkerCounts, Workers,
@@ -183,6 +183,7 @@ pub fn metrics() -> JobMetrics {
         }),
         frame: SceneFrame::around([5e5, 4e6, 10.0].into(), 6.0),
         color_fit: Some(ColorFitScores { views: 2, psnr: 29.5, corrected_psnr: 31.25 }),
+        exposure: Some(ExposureChoice::by(ExposureTrial { views: 4, gain: 2.5, needed: 0.5 })),
         rd_curve: Vec::new(),
     }
 }

@@ -4,7 +4,7 @@ use std::fmt;
 
 use serde::{Deserialize, Serialize};
 
-use super::{Background, Conventions, Convergence, Digest, LpipsNetwork, SceneFrame};
+use super::{Background, Conventions, Convergence, Digest, ExposureChoice, LpipsNetwork, SceneFrame};
 
 /// Image quality of one view, from 8-bit images.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -246,6 +246,9 @@ pub struct JobMetrics {
     /// Held-out views with and without a color correction; null without such views and for jobs of versions without it.
     #[serde(default)]
     pub color_fit: Option<ColorFitScores>,
+    /// Whether color corrections were learnt; null for jobs of versions without them.
+    #[serde(default)]
+    pub exposure: Option<ExposureChoice>,
     /// The points of `rd_curve` in the order given; the other metrics are those of the first. Else empty.
     #[serde(default)]
     pub rd_curve: Vec<CurvePoint>,

@@ -13,6 +13,7 @@ pub mod conventions;
 pub mod convergence;
 pub mod digest;
 pub mod evenly_spaced;
+pub mod exposure;
 pub mod format;
 pub mod gaussians;
 pub mod harmonics;
@@ -44,6 +45,7 @@ pub use context_model::{
 pub use conventions::{Conventions, LpipsNetwork};
 pub use convergence::{Convergence, ValidationScore};
 pub use digest::Digest;
+pub use exposure::{Exposure, ExposureChoice, ExposureTrial};
 pub use format::SceneFormat;
 pub use gaussians::{GaussianScene, Scene};
 pub use held_out::{HeldOut, HeldOutView};

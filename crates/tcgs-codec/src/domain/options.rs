@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use thiserror::Error;
 
-use super::{ExifOrientation, MaskMode, MaskSource, ReadOptions, choice::named_choice};
+use super::{ExifOrientation, Exposure, MaskMode, MaskSource, ReadOptions, choice::named_choice};
 
 /// Most iterations of a run.
 pub const MAX_ITERATIONS: u32 = 1_000_000;
@@ -198,6 +198,9 @@ pub struct TrainOptions {
     /// Whether listed photographs that are missing are left out; serialized only if they are.
     #[serde(skip_serializing_if = "is_false")]
     pub skip_missing: bool,
+    /// Whether each photograph has a color correction of its own; serialized only if it is stated.
+    #[serde(skip_serializing_if = "is_tried")]
+    pub exposure: Exposure,
 }
 
 /// Whether a number stays positive and normal in single precision.
@@ -229,6 +232,11 @@ fn is_false(value: &bool) -> bool {
     !value
 }
 
+#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde passes a reference")]
+fn is_tried(exposure: &Exposure) -> bool {
+    *exposure == Exposure::Auto
+}
+
 impl Default for TrainOptions {
     fn default() -> Self {
         Self {
@@ -248,6 +256,7 @@ impl Default for TrainOptions {
             masks: MaskSource::Auto,
             mask_mode: MaskMode::Auto,
             skip_missing: false,
+            exposure: Exposure::Auto,
         }
     }
 }
@@ -538,7 +547,7 @@ impl TrainOption {
 
 /// Every option of a training run. The command line's flags, the query string and JSON are read by it, and a test holds `openapi.yaml`
 /// to it.
-pub static TRAIN_OPTIONS: [TrainOption; 17] = [
+pub static TRAIN_OPTIONS: [TrainOption; 18] = [
     TrainOption {
         name: "preset",
         kind: OptionKind::Choice(Preset::NAMES),
@@ -691,6 +700,15 @@ pub static TRAIN_OPTIONS: [TrainOption; 17] = [
         help: Some("Leave listed photographs that are missing out, rather than refuse the dataset"),
         set: |options, text| text.parse().ok().map(|skip| options.skip_missing = skip),
     },
+    TrainOption {
+        name: "exposure",
+        kind: OptionKind::Choice(Exposure::NAMES),
+        default: Some("auto"),
+        help: Some(
+            "Learn a color correction for each photograph: auto does if training views that are set aside gain by it",
+        ),
+        set: |options, text| text.parse().ok().map(|exposure| options.exposure = exposure),
+    },
 ];
 
 /// As much of a value as a message repeats.
@@ -744,6 +762,7 @@ mod tests {
             masks,
             mask_mode,
             skip_missing: true,
+            exposure: Exposure::On,
             ..TrainOptions::default()
         };
         let all = TrainOptions { with, until: Until::Converged, ..stated };

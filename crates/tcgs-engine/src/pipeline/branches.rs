@@ -126,6 +126,7 @@ mod tests {
             rendering: None,
             frame: None,
             color_fit: None,
+            exposure: None,
             rd_curve: Vec::new(),
         };
         FinishedBranch { file: b"a file".to_vec(), metrics }

@@ -82,6 +82,7 @@ pub(super) fn measure(
         rendering: rendering_error(inputs, background, &file.scene, heartbeat)?,
         frame: Some(trained.scene.frame()),
         color_fit,
+        exposure: Some(trained.exposure),
         rd_curve: Vec::new(),
     })
 }

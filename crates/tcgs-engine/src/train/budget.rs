@@ -6,14 +6,14 @@
 //! ([`crate::gpu::GpuError::OverBudget`]), so a scene beyond the assumptions ends the run with an error and not the process.
 
 use super::{
-    Estimate, ImageLoss, OverBudget, PhotographPlace, Schedule,
+    ColorCorrections, Estimate, ImageLoss, OverBudget, PhotographPlace, Schedule,
     batch::REPORT_INTERVAL,
     footprint::{AnchorFootprint, Footprint, PlainFootprint},
     memory_estimate::Part,
     photographs::AHEAD,
 };
 use crate::{
-    domain::{Dataset, MemoryBudget, ModelKind, Split, TrainOptions},
+    domain::{Dataset, Exposure, MemoryBudget, ModelKind, Split, TrainOptions},
     eval::measuring_bytes,
     gpu::{AdapterReport, CONSTANT_BYTES, buffer_bytes},
     render::Rasterizer,
@@ -55,10 +55,12 @@ pub struct Needs<'a> {
     packed: u64,
     /// Points of the cloud, or random ones.
     points: usize,
+    /// Photographs with color corrections; none in a run without.
+    corrected: usize,
 }
 
 impl<'a> Needs<'a> {
-    /// Of a run on `dataset`.
+    /// Of a run on `dataset`, with color corrections only where `options` say `exposure=on`.
     #[must_use]
     pub fn of(dataset: &Dataset, options: &TrainOptions, adapter: &'a AdapterReport) -> Self {
         let sizes = || dataset.frames.iter().map(|frame| [frame.image.width(), frame.image.height()]);
@@ -79,6 +81,10 @@ impl<'a> Needs<'a> {
                 })
                 .sum(),
             points: if cloud > 0 { cloud } else { schedule.random_points },
+            corrected: match options.exposure {
+                Exposure::On => dataset.split(Split::Train).count(),
+                Exposure::Auto | Exposure::Off => 0,
+            },
             footprint: match options.model {
                 ModelKind::Tcgs | ModelKind::Scaffold => Box::new(AnchorFootprint {
                     shape: schedule.shape,
@@ -120,7 +126,7 @@ impl<'a> Needs<'a> {
             PhotographPlace::Host => [of_steps, self.packed],
             PhotographPlace::Nowhere => [of_steps, 0],
         };
-        Estimate {
+        let mut estimate = Estimate {
             size,
             unit: model.unit(),
             photographs,
@@ -141,7 +147,12 @@ impl<'a> Needs<'a> {
                 part("growth", model.host_bytes(size)),
                 part("program", PROGRAM_BYTES),
             ],
+        };
+        if self.corrected > 0 {
+            let bytes = sizes * ColorCorrections::bytes(self.corrected, pixels as usize);
+            estimate.gpu.push(part("color corrections", bytes));
         }
+        estimate
     }
 
     /// Pairs of Gaussian and tile that the rasterizer is assumed to make room for.
@@ -246,6 +257,10 @@ mod tests {
         assert!(at(&[(640, 480)]) > at(&[(64, 48)]));
         assert_eq!(at(&[(640, 480), (640, 480)]), at(&[(640, 480)]));
         assert!(at(&[(640, 480), (480, 640)]) > at(&[(640, 480)]));
+        let corrected = TrainOptions { exposure: Exposure::On, ..options.clone() };
+        let [without, with] = [&options, &corrected]
+            .map(|options| Needs::of(&small, options, &adapter).estimate(1000).gpu_bytes());
+        assert!(with >= without + 16 * 64 * 48, "a corrected render");
     }
 
     #[test]
