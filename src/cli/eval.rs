@@ -4,7 +4,8 @@ use std::{collections::HashSet, path::PathBuf, time::Instant};
 
 use serde::Serialize;
 use tcgs::domain::{
-    Background, ByteCounts, Conventions, Digest, Image, Scores, ViewScore, dataset::without_extension,
+    Background, ByteCounts, ColorFitScores, Conventions, Digest, Image, Scores, ViewScore,
+    dataset::without_extension,
 };
 use tcgs_lab::lpips::Lpips;
 
@@ -56,6 +57,7 @@ struct Metrics {
     adapter: String,
     background: Background,
     conventions: Conventions,
+    color_fit: Option<ColorFitScores>,
     /// Whether the file was trained on this dataset, if it states its dataset.
     same_dataset: Option<bool>,
 }
@@ -93,7 +95,8 @@ pub(crate) fn run(args: &Args) -> Result<Report, CliError> {
         None => Ok(()),
         Some(folder) => picture::write(&folder.join(names.of(name)), &side_by_side(photograph, render)),
     };
-    let (test, render_seconds) = wiring::score(&renderer, &dataset, background, lpips.as_ref(), &mut save)?;
+    let wiring::Measured { scores: test, color_fit, render_seconds } =
+        wiring::score(&renderer, &dataset, background, lpips.as_ref(), &mut save)?;
 
     let metrics = Metrics {
         test,
@@ -105,6 +108,7 @@ pub(crate) fn run(args: &Args) -> Result<Report, CliError> {
         adapter: renderer.adapter.clone(),
         background,
         conventions: Conventions::new(lpips.as_ref().map(Lpips::network)).of(args.reading.options().holdout),
+        color_fit,
         same_dataset,
     };
     let mut text = text(&metrics);
@@ -141,8 +145,10 @@ fn text(metrics: &Metrics) -> String {
     if let (Some(lpips), Some(network)) = (metrics.test.lpips, metrics.test.lpips_network) {
         scores.push_str(&format!("  {network} {lpips:.4}"));
     }
+    let halves = metrics.color_fit.map_or_else(String::new, |fit| format!("halves    {fit}\n"));
     format!(
         "test      {scores}  over {} views on {}\n\
+         {halves}\
          size      {} bytes; {} anchors, {} Gaussians\n\
          time      {:.2} s decoding, {:.2} s rendering\n\
          adapter   {}\n\

@@ -7,7 +7,7 @@ use std::{
 
 use serde_json::{Value, json};
 use tcgs::{
-    domain::{CurvePoint, JobMetrics, Phase, SceneFormat},
+    domain::{CurvePoint, ExposureChoice, JobMetrics, Phase, SceneFormat},
     ingest,
     pipeline::{CheckpointPlan, JobError, Resume, RunJob as _},
 };
@@ -200,8 +200,17 @@ pub(super) fn text(metrics: &JobMetrics) -> String {
         value.map_or_else(|| "none".to_owned(), |value| format!("{value:.digits$}{unit}"))
     };
     let lossless = figure(metrics.psnr_before_quantisation, 2, " dB");
+    let halves = metrics.color_fit.map_or_else(String::new, |fit| format!("halves    {fit}\n"));
+    let exposure = match metrics.exposure {
+        Some(choice) if choice != ExposureChoice::OFF => {
+            let state = if choice.corrected { "on" } else { "off" };
+            format!("exposure  color corrections {state}: {}\n", choice.because())
+        }
+        _ => String::new(),
+    };
     format!(
         "test      PSNR {} (before quantization {lossless})  SSIM {}{}  over {} views on {}\n\
+         {halves}{exposure}\
          train     PSNR {}  SSIM {}  over {} views\n\
          size      {} bytes; {} anchors, {} Gaussians\n\
          time      {:.1} s training, {} steps, {:.2} steps/s; {:.2} s encoding, {:.2} s decoding\n\

@@ -18,10 +18,13 @@ use std::{
 use tcgs::{
     codec::{self, EncodeError, EncodeSettings, Encoded},
     domain::{
-        AnchorScene, Background, Dataset, DatasetSummary, Image, MemoryLimits, NamedCamera, Problem,
-        ProblemType, ReadOptions, Scene, Scores, Split,
+        AnchorScene, Background, ColorFitScores, Dataset, DatasetSummary, Image, MemoryLimits, NamedCamera,
+        Problem, ProblemType, ReadOptions, Scene, Scores, Split,
     },
-    eval::{InFlight, PerceptualDistance, Target, ViewTasks, band_errors, for_each_view, mean_scores_with},
+    eval::{
+        InFlight, PerceptualDistance, Target, ViewTasks, band_errors, for_each_view, mean_color_fit,
+        mean_scores_with,
+    },
     export::anchors,
     gpu::AdapterChoice,
     ingest::{self, LoadBudget},
@@ -207,6 +210,16 @@ pub(crate) fn render_seconds(renderer: &SceneViews, dataset: &Dataset) -> Result
     Ok((views > 0).then(|| seconds / f64::from(views)))
 }
 
+/// What [`score`] measures.
+pub(crate) struct Measured {
+    /// The scores of the held-out views and their means.
+    pub(crate) scores: Scores,
+    /// Held-out views with and without a color correction.
+    pub(crate) color_fit: Option<ColorFitScores>,
+    /// Seconds of rendering.
+    pub(crate) render_seconds: f64,
+}
+
 /// The scores of the held-out views and their means, and the seconds of rendering. `each` gets every view's name, render and
 /// photograph, in the order of the frames. Views are scored while the next ones are rendered.
 pub(crate) fn score(
@@ -215,8 +228,8 @@ pub(crate) fn score(
     background: Background,
     lpips: Option<&Lpips>,
     each: &mut dyn FnMut(&str, &Image, &Image) -> Result<(), CliError>,
-) -> Result<(Scores, f64), CliError> {
-    let mut scores = Vec::new();
+) -> Result<Measured, CliError> {
+    let (mut scores, mut halves) = (Vec::new(), Vec::new());
     let mut seconds = 0.0;
     let tasks = ViewTasks::<_, CliError> {
         render: &mut |frame| {
@@ -228,23 +241,30 @@ pub(crate) fn score(
         process: &|frame, render| {
             let name = &frame.name;
             let target = Target::of(frame, background).map_err(Problem::from)?;
-            let mut score = target.score(name, &render).ok_or_else(|| {
+            let different = || {
                 let detail = format!("the render of {name} is not of its photograph's size");
                 Problem::new(ProblemType::Internal, detail)
-            })?;
+            };
+            let mut score = target.score(name, &render).ok_or_else(different)?;
+            let half = target.right_half(&render).ok_or_else(different)?;
             if let Some(lpips) = lpips {
                 let distance = lpips.distance(&target.masked(&render), target.photograph());
                 score.lpips = Some(distance.map_err(|error| Problem::from(error).in_file(name))?);
             }
-            Ok((score, render, target))
+            Ok((score, half, render, target))
         },
-        collect: &mut |(score, render, target)| {
+        collect: &mut |(score, half, render, target)| {
             each(&score.name, &render, target.photograph())?;
             scores.push(score);
+            halves.push(half);
             Ok(())
         },
     };
     let in_flight = if lpips.is_some() { InFlight::One } else { InFlight::Several };
     for_each_view(&dataset.split(Split::Test).collect::<Vec<_>>(), in_flight, tasks)?;
-    Ok((mean_scores_with(&scores, lpips.map(Lpips::network)), seconds))
+    Ok(Measured {
+        scores: mean_scores_with(&scores, lpips.map(Lpips::network)),
+        color_fit: mean_color_fit(&halves),
+        render_seconds: seconds,
+    })
 }

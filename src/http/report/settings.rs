@@ -84,7 +84,7 @@ fn origin(record: &JobRecord) -> Rows {
 
 fn course(metrics: &JobMetrics) -> Rows {
     let seconds = &metrics.seconds;
-    vec![
+    let mut rows = vec![
         row("reading the dataset", duration(seconds.ingest)),
         row("training", duration(seconds.train)),
         row("encoding", duration(seconds.encode)),
@@ -95,7 +95,17 @@ fn course(metrics: &JobMetrics) -> Rows {
         row("Gaussians", grouped(metrics.gaussians)),
         row("PSNR before quantization, dB", figure(metrics.psnr_before_quantisation, 2)),
         row("PSNR of training views, dB", figure(metrics.train.psnr, 2)),
-    ]
+    ];
+    if let Some(fit) = &metrics.color_fit {
+        rows.push(row("PSNR of right halves, dB", figure(Some(fit.psnr), 2)));
+        let corrected = figure(Some(fit.corrected_psnr), 2);
+        rows.push(row("with color corrections fitted to left halves, dB", corrected));
+    }
+    if let Some(choice) = &metrics.exposure {
+        let state = if choice.corrected { "on" } else { "off" };
+        rows.push(row("color corrections of photographs", format!("{state}: {}", choice.because())));
+    }
+    rows
 }
 
 fn conventions(metrics: &JobMetrics) -> Rows {

@@ -184,6 +184,8 @@ async fn figures_are_comma_separated(server: &Server, path: &str) {
         ("stage_noise", "30.2"),
         ("render_rmse", "0.00000015"),
         ("psnr_before_quantisation", "30.5"),
+        ("right_half_corrected_psnr", "31.25"),
+        ("exposure_corrected", "true"),
         ("integer_over_float_bits", "1.002"),
     ] {
         assert_eq!(cells[column], value, "{column}: {text}");

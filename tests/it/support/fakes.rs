@@ -13,12 +13,13 @@ use std::{
 use glam::DVec3;
 use tcgs::{
     domain::{
-        AnchorScene, Background, ByteCounts, Camera, CancelFlag, CodingEfficiency, CodingStages, Conventions,
-        CurvePoint, DatasetSummary, Digest, ExportFidelity, ExportedScene, HeldOut, HeldOutView, Image,
-        Intrinsics, JobId, JobMetrics, JobNeeds, Lattice, Layout, LpipsNetwork, MemoryNeeds, Mlp,
-        NamedCamera, NearPlane, Phase, PhaseSeconds, Pose, Problem, ProblemType, Progress, ReadOptions,
-        RenderNetworks, RenderingError, Scene, SceneFormat, SceneFrame, SceneScale, Scores, Similarity,
-        Split, TrainOptions, ValueRange, ViewScore, WorkerCounts, Workers,
+        AnchorScene, Background, ByteCounts, Camera, CancelFlag, CodingEfficiency, CodingStages,
+        ColorFitScores, Conventions, CurvePoint, DatasetSummary, Digest, ExportFidelity, ExportedScene,
+        ExposureChoice, ExposureTrial, HeldOut, HeldOutView, Image, Intrinsics, JobId, JobMetrics, JobNeeds,
+        Lattice, Layout, LpipsNetwork, MemoryNeeds, Mlp, NamedCamera, NearPlane, Phase, PhaseSeconds, Pose,
+        Problem, ProblemType, Progress, ReadOptions, RenderNetworks, RenderingError, Scene, SceneFormat,
+        SceneFrame, SceneScale, Scores, Similarity, Split, TrainOptions, ValueRange, ViewScore, WorkerCounts,
+        Workers,
     },
     engine::{SceneEngine, SceneSource},
     pipeline::{CheckpointPlan, CurveFile, JobError, JobOutput, RunJob},
@@ -183,6 +184,8 @@ pub fn metrics() -> JobMetrics {
             cutoff_rmse: 1e-4,
         }),
         frame: SceneFrame::around([5e5, 4e6, 10.0].into(), 6.0),
+        color_fit: Some(ColorFitScores { views: 2, psnr: 29.5, corrected_psnr: 31.25 }),
+        exposure: Some(ExposureChoice::by(ExposureTrial { views: 4, gain: 2.5, needed: 0.5 })),
         rd_curve: Vec::new(),
     }
 }

@@ -4,7 +4,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::Voxel;
+use super::{ExposureChoice, ExposureTrial, Voxel};
 
 /// What bounds the size that growth may reach.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -30,6 +30,9 @@ pub struct Choices {
     /// The widths before channel pruning; none where nothing was pruned.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub narrowed_from: Option<Widths>,
+    /// The trial after which color corrections were learnt; none where they were not, or where the option decided.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub exposure: Option<ExposureTrial>,
 }
 
 /// The widths of a model.
@@ -74,7 +77,7 @@ impl Choices {
             }
             Voxel::Edge(_) => "the option".to_owned(),
         };
-        vec![
+        let mut all = vec![
             Explanation::new("voxel", edge.to_string(), because),
             Explanation::new(
                 "anchors at most",
@@ -84,7 +87,13 @@ impl Choices {
                     SizeBound::Memory => "more do not fit the adapter or the memory",
                 },
             ),
-        ]
+        ];
+        all.extend(
+            self.exposure.map(|trial| {
+                Explanation::new("color corrections", "on", ExposureChoice::by(trial).because())
+            }),
+        );
+        all
     }
 }
 
@@ -100,6 +109,7 @@ mod tests {
             points: 5000,
             random_points: false,
             narrowed_from: Some(Widths { features: 32, offsets: 10 }),
+            exposure: None,
         };
         let said = choices.explain(Voxel::Auto, 0.25);
         let said: Vec<String> = said
@@ -121,6 +131,11 @@ mod tests {
         let enlarged = &random.explain(Voxel::Edge(0.1), 0.25)[0];
         assert_eq!(enlarged.value, "0.25");
         assert!(enlarged.because.contains("the option's 0.1 does not"), "{}", enlarged.because);
+        let corrected =
+            Choices { exposure: Some(ExposureTrial { views: 4, gain: 1.5, needed: 0.5 }), ..random.clone() };
+        let said = &corrected.explain(Voxel::Auto, 0.25)[2];
+        assert_eq!((&*said.what, &*said.value), ("color corrections", "on"));
+        assert!(said.because.contains("gain 1.50 dB"), "{}", said.because);
         let mut json = serde_json::to_value(&random).expect("JSON");
         // In files of earlier versions, which could shorten a run.
         json["shortened"] = serde_json::json!({ "converged_at": 900, "steps": 1267, "full_steps": 2000 });

@@ -1,8 +1,10 @@
 //! The metrics of a finished job, as the API returns them.
 
+use std::fmt;
+
 use serde::{Deserialize, Serialize};
 
-use super::{Background, Conventions, Convergence, Digest, LpipsNetwork, SceneFrame};
+use super::{Background, Conventions, Convergence, Digest, ExposureChoice, LpipsNetwork, SceneFrame};
 
 /// Image quality of one view, from 8-bit images.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -36,6 +38,28 @@ pub struct Scores {
     /// The figures of each view, in the order of the dataset.
     #[serde(default)]
     pub per_view: Vec<ViewScore>,
+}
+
+/// Held-out views with and without a color correction, over the right halves that count (METHOD.md §1.2): the correction is the affine
+/// one that fits a view's left half best. Means over views, of 8-bit images.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct ColorFitScores {
+    /// Held-out views measured.
+    pub views: usize,
+    /// PSNR of the right halves as rendered, in dB.
+    pub psnr: f64,
+    /// PSNR of the right halves with the correction, in dB.
+    pub corrected_psnr: f64,
+}
+
+impl fmt::Display for ColorFitScores {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(
+            f,
+            "PSNR {:.2} dB over right halves, {:.2} dB with a color correction fitted to left halves",
+            self.psnr, self.corrected_psnr
+        )
+    }
 }
 
 /// Where the bytes of the file go; the parts add up to `total`.
@@ -222,6 +246,12 @@ pub struct JobMetrics {
     /// Where the scene's own coordinates are in the world; null for jobs of versions that trained in world coordinates.
     #[serde(default)]
     pub frame: Option<SceneFrame>,
+    /// Held-out views with and without a color correction; null without such views and for jobs of versions without it.
+    #[serde(default)]
+    pub color_fit: Option<ColorFitScores>,
+    /// Whether color corrections were learnt; null for jobs of versions without them.
+    #[serde(default)]
+    pub exposure: Option<ExposureChoice>,
     /// The points of `rd_curve` in the order given; the other metrics are those of the first. Else empty.
     #[serde(default)]
     pub rd_curve: Vec<CurvePoint>,

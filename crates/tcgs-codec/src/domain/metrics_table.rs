@@ -6,7 +6,7 @@ use super::JobMetrics;
 #[must_use]
 pub fn metrics_columns(metrics: &JobMetrics) -> Vec<(&'static str, String)> {
     let number = |value: Option<f64>| value.map_or_else(String::new, |value| value.to_string());
-    let JobMetrics { test, train, seconds, coding, stages, rendering, .. } = metrics;
+    let JobMetrics { test, train, seconds, coding, stages, rendering, color_fit, exposure, .. } = metrics;
     let mut columns = vec![
         ("adapter", metrics.adapter.clone()),
         ("background", metrics.background.to_string()),
@@ -39,6 +39,10 @@ pub fn metrics_columns(metrics: &JobMetrics) -> Vec<(&'static str, String)> {
         ("render_rmse", number(rendering.map(|error| error.rmse))),
         ("render_max_error", number(rendering.map(|error| error.max))),
         ("cutoff_rmse", number(rendering.map(|error| error.cutoff_rmse))),
+        ("right_half_psnr", number(color_fit.map(|fit| fit.psnr))),
+        ("right_half_corrected_psnr", number(color_fit.map(|fit| fit.corrected_psnr))),
+        ("exposure_corrected", exposure.map_or_else(String::new, |choice| choice.corrected.to_string())),
+        ("exposure_gain", number(exposure.and_then(|choice| Some(choice.trial?.gain)))),
     ]);
     columns
 }

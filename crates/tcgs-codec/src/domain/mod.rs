@@ -13,6 +13,7 @@ pub mod conventions;
 pub mod convergence;
 pub mod digest;
 pub mod evenly_spaced;
+pub mod exposure;
 pub mod format;
 pub mod gaussians;
 pub mod harmonics;
@@ -44,6 +45,7 @@ pub use context_model::{
 pub use conventions::{Conventions, LpipsNetwork};
 pub use convergence::{Convergence, ValidationScore};
 pub use digest::Digest;
+pub use exposure::{Exposure, ExposureChoice, ExposureTrial};
 pub use format::SceneFormat;
 pub use gaussians::{GaussianScene, Scene};
 pub use held_out::{HeldOut, HeldOutView};
@@ -53,8 +55,8 @@ pub use metadata::{
     MAX_LABEL_KEY, MAX_LABEL_VALUE, MAX_LABELS, MAX_NAME, Metadata, MetadataError, valid_name,
 };
 pub use metrics::{
-    ByteBudget, ByteCounts, CodingEfficiency, CodingStages, CurvePoint, GroupQstepLog2, JobMetrics,
-    PhaseSeconds, RenderingError, Scores, ViewScore,
+    ByteBudget, ByteCounts, CodingEfficiency, CodingStages, ColorFitScores, CurvePoint, GroupQstepLog2,
+    JobMetrics, PhaseSeconds, RenderingError, Scores, ViewScore,
 };
 pub use metrics_table::{csv_cell, metrics_columns};
 pub use near_plane::NearPlane;

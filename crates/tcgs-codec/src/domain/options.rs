@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use thiserror::Error;
 
-use super::{ExifOrientation, HoldOut, MaskMode, MaskSource, ReadOptions, choice::named_choice};
+use super::{ExifOrientation, Exposure, HoldOut, MaskMode, MaskSource, ReadOptions, choice::named_choice};
 
 /// Most iterations of a run.
 pub const MAX_ITERATIONS: u32 = 1_000_000;
@@ -210,6 +210,9 @@ pub struct TrainOptions {
     /// Which photographs are held out; serialized only if it is stated.
     #[serde(skip_serializing_if = "is_usual_holdout")]
     pub holdout: HoldOut,
+    /// Whether each photograph has a color correction of its own; serialized only if it is stated.
+    #[serde(skip_serializing_if = "is_tried")]
+    pub exposure: Exposure,
 }
 
 /// Whether a number stays positive and normal in single precision.
@@ -246,6 +249,11 @@ fn is_usual_holdout(holdout: &HoldOut) -> bool {
     *holdout == HoldOut::Auto
 }
 
+#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde passes a reference")]
+fn is_tried(exposure: &Exposure) -> bool {
+    *exposure == Exposure::Auto
+}
+
 impl Default for TrainOptions {
     fn default() -> Self {
         Self {
@@ -268,6 +276,7 @@ impl Default for TrainOptions {
             mask_mode: MaskMode::Auto,
             skip_missing: false,
             holdout: HoldOut::Auto,
+            exposure: Exposure::Auto,
         }
     }
 }
@@ -584,7 +593,7 @@ impl TrainOption {
 
 /// Every option of a training run. The command line's flags, the query string and JSON are read by it, and a test holds `openapi.yaml`
 /// to it.
-pub static TRAIN_OPTIONS: [TrainOption; 20] = [
+pub static TRAIN_OPTIONS: [TrainOption; 21] = [
     TrainOption {
         name: "preset",
         kind: OptionKind::Choice(Preset::NAMES),
@@ -764,6 +773,15 @@ pub static TRAIN_OPTIONS: [TrainOption; 20] = [
         ),
         set: |options, text| text.parse().ok().map(|holdout| options.holdout = holdout),
     },
+    TrainOption {
+        name: "exposure",
+        kind: OptionKind::Choice(Exposure::NAMES),
+        default: Some("auto"),
+        help: Some(
+            "Learn a color correction for each photograph: auto does if training views that are set aside gain by it",
+        ),
+        set: |options, text| text.parse().ok().map(|exposure| options.exposure = exposure),
+    },
 ];
 
 /// As much of a value as a message repeats.
@@ -820,6 +838,7 @@ mod tests {
             holdout: HoldOut::Sector,
             target_gaussians: Some(1),
             max_gaussians: Some(1),
+            exposure: Exposure::On,
             ..TrainOptions::default()
         };
         let all = TrainOptions { with, until: Until::Converged, ..stated };

@@ -71,6 +71,12 @@ impl Photograph {
         self.height
     }
 
+    /// Whether it has alpha.
+    #[must_use]
+    pub fn has_alpha(&self) -> bool {
+        self.channels == 4
+    }
+
     /// The pixels.
     ///
     /// # Errors

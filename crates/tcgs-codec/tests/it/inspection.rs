@@ -53,6 +53,7 @@ fn choices_are_explained_from_the_provenance() {
         max_anchors_by: SizeBound::Preset,
         points: 5000,
         random_points: false,
+        exposure: None,
         narrowed_from: Some(Widths { features: 32, offsets: 10 }),
     };
     let provenance = Provenance {

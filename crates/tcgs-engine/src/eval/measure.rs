@@ -1,7 +1,7 @@
 //! Renders frames of a dataset and compares them with their photographs.
 
 use super::{
-    PerceptualDistance, Target,
+    PerceptualDistance, RightHalf, Target,
     overlap::{InFlight, ViewTasks, for_each_view},
 };
 use crate::{
@@ -30,18 +30,24 @@ impl<E: From<RenderError> + Send> ViewMeasurement<'_, E> {
         frames: &[&Frame],
         lpips: Option<&dyn PerceptualDistance>,
     ) -> Result<Vec<ViewScore>, E> {
-        // LPIPS has some 300 bytes per pixel.
-        let in_flight = if lpips.is_some() { InFlight::One } else { InFlight::Several };
-        self.compare(frames, in_flight, &|frame, render, target| {
-            let mut score = target.score(&frame.name, render)?;
-            score.lpips = lpips.and_then(|lpips| {
-                let distance = lpips.distance(&target.masked(render), target.photograph());
-                distance
-                    .inspect_err(|error| tracing::warn!("{}: no LPIPS: {}", frame.name, error.detail))
-                    .ok()
-            });
-            Some(score)
+        self.compare(frames, in_flight(lpips), &|frame, render, target| {
+            score_with(lpips, &frame.name, render, target)
         })
+    }
+
+    /// As [`Self::scores`], each with the view's right half.
+    ///
+    /// # Errors
+    /// As [`Self::scores`].
+    pub fn scores_with_halves(
+        self,
+        frames: &[&Frame],
+        lpips: Option<&dyn PerceptualDistance>,
+    ) -> Result<(Vec<ViewScore>, Vec<RightHalf>), E> {
+        let both = self.compare(frames, in_flight(lpips), &|frame, render, target| {
+            Some((score_with(lpips, &frame.name, render, target)?, target.right_half(render)?))
+        })?;
+        Ok(both.into_iter().unzip())
     }
 
     /// The mean PSNR of the frames, without the time that SSIM takes; `None` without frames.
@@ -81,6 +87,25 @@ impl<E: From<RenderError> + Send> ViewMeasurement<'_, E> {
         for_each_view(frames, in_flight, tasks)?;
         Ok(compared)
     }
+}
+
+fn in_flight(lpips: Option<&dyn PerceptualDistance>) -> InFlight {
+    // LPIPS has some 300 bytes per pixel.
+    if lpips.is_some() { InFlight::One } else { InFlight::Several }
+}
+
+fn score_with(
+    lpips: Option<&dyn PerceptualDistance>,
+    name: &str,
+    render: &Image,
+    target: &Target,
+) -> Option<ViewScore> {
+    let mut score = target.score(name, render)?;
+    score.lpips = lpips.and_then(|lpips| {
+        let distance = lpips.distance(&target.masked(render), target.photograph());
+        distance.inspect_err(|error| tracing::warn!("{name}: no LPIPS: {}", error.detail)).ok()
+    });
+    Some(score)
 }
 
 /// PSNR and SSIM of each frame, photographs composited on `background`.

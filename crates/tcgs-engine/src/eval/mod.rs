@@ -1,10 +1,11 @@
 //! Image quality from 8-bit images: PSNR, SSIM and a perceptual distance that a program brings, per view and as means over views, errors by
-//! wavelet band, and the importance of each Gaussian to views. Over runs: confidence intervals.
+//! wavelet band, affine color corrections, and the importance of each Gaussian to views. Over runs: confidence intervals.
 //!
 //! Conventions are those of the field's final metrics (METHOD.md §1.2): both images are 8-bit, PSNR pools the squared
 //! error over the three channels, means are over views. [`crate::domain::Conventions`] states them in the metrics.
 
 mod bands;
+mod color_fit;
 mod error_map;
 mod haar;
 mod interval;
@@ -20,6 +21,7 @@ mod ssim;
 mod target;
 
 pub use bands::{BandErrors, band_errors};
+pub use color_fit::{ColorFit, LeftHalf, RightHalf, mean_color_fit};
 pub use error_map::{ERROR_CEILING, error_map, error_ramp, shrunk};
 pub use haar::Haar;
 pub use interval::{Estimate, student_t_975};

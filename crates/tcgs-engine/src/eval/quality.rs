@@ -5,7 +5,7 @@ use std::array;
 use crate::domain::Image;
 
 /// Reported for identical images, whose error has no logarithm.
-const PSNR_CEILING: f64 = 100.0;
+pub(super) const PSNR_CEILING: f64 = 100.0;
 
 /// PSNR in dB with the squared error pooled over the three channels; `None` if the sizes differ or there is alpha.
 #[must_use]

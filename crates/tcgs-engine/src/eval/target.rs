@@ -40,6 +40,11 @@ impl Target {
         &self.photograph
     }
 
+    /// Which pixels count; all without one.
+    pub(super) fn mask(&self) -> Option<&PixelMask> {
+        self.mask.as_ref()
+    }
+
     /// A render, black where no pixel counts.
     #[must_use]
     pub fn masked<'a>(&self, render: &'a Image) -> Cow<'a, Image> {

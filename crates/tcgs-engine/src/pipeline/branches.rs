@@ -126,6 +126,8 @@ mod tests {
             stages: None,
             rendering: None,
             frame: None,
+            color_fit: None,
+            exposure: None,
             rd_curve: Vec::new(),
         };
         FinishedBranch { file: b"a file".to_vec(), metrics }

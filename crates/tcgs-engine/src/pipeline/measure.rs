@@ -7,8 +7,8 @@ use super::{
     stages::{coding_stages, rendering_error},
 };
 use crate::{
-    domain::{Background, Conventions, Frame, JobMetrics, PhaseSeconds, Scene, Scores},
-    eval::{PerceptualDistance, ViewMeasurement, mean_scores_with},
+    domain::{Background, ColorFitScores, Conventions, Frame, JobMetrics, PhaseSeconds, Scene, Scores},
+    eval::{PerceptualDistance, ViewMeasurement, mean_color_fit, mean_scores_with},
     export::world::{Origin, in_world_units},
     render::Renderer,
     train::Trained,
@@ -33,14 +33,16 @@ pub(super) fn measure(
         Ok::<_, JobError>(())
     };
     let mut renderer = Renderer::of_scene(&inputs.device, &file.scene, background)?;
-    let mut score = |frames: &[&Frame]| -> Result<Scores, JobError> {
+    let mut score = |frames: &[&Frame]| -> Result<(Scores, Option<ColorFitScores>), JobError> {
         let (renderer, before_each) = (&mut renderer, &mut before_each);
-        let views = ViewMeasurement { renderer, background, before_each }.scores(frames, inputs.lpips)?;
-        Ok(mean_scores_with(&views, inputs.lpips.map(PerceptualDistance::network)))
+        let measurement = ViewMeasurement { renderer, background, before_each };
+        let (views, halves) = measurement.scores_with_halves(frames, inputs.lpips)?;
+        let scores = mean_scores_with(&views, inputs.lpips.map(PerceptualDistance::network));
+        Ok((scores, mean_color_fit(&halves)))
     };
     let held_out = inputs.test_views();
-    let test = score(&held_out)?;
-    let train = score(&inputs.train_views(MEASURED_TRAIN_VIEWS))?;
+    let (test, color_fit) = score(&held_out)?;
+    let (train, _) = score(&inputs.train_views(MEASURED_TRAIN_VIEWS))?;
     drop(renderer);
     // Compression-aware training leaves a scene that is rounded already.
     let unrounded = match trained.unrounded.as_ref().unwrap_or(&trained.scene) {
@@ -80,6 +82,8 @@ pub(super) fn measure(
         stages: coding_stages(inputs, background, trained, written, heartbeat)?,
         rendering: rendering_error(inputs, background, &file.scene, heartbeat)?,
         frame: Some(trained.scene.frame()),
+        color_fit,
+        exposure: Some(trained.exposure),
         rd_curve: Vec::new(),
     })
 }

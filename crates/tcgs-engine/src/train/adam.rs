@@ -4,8 +4,8 @@ use std::sync::Arc;
 
 use crate::gpu::{Buffer, Device, GpuError, Kernel, Plan, Recorder, kernel_source, planned};
 
-const BETAS: [f64; 2] = [0.9, 0.999];
-const EPSILON: f32 = 1e-15;
+pub(super) const BETAS: [f64; 2] = [0.9, 0.999];
+pub(super) const EPSILON: f32 = 1e-15;
 
 /// First and second moments of an array of parameters.
 #[derive(Debug)]

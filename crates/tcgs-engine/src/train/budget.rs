@@ -6,7 +6,7 @@
 //! ([`crate::gpu::GpuError::OverBudget`]), so a scene beyond the assumptions ends the run with an error and not the process.
 
 use super::{
-    Estimate, ImageLoss, OverBudget, PhotographPlace, Schedule,
+    ColorCorrections, Estimate, ImageLoss, OverBudget, PhotographPlace, Schedule,
     batch::REPORT_INTERVAL,
     footprint::{AnchorFootprint, Footprint, PlainFootprint},
     memory_estimate::Part,
@@ -14,7 +14,7 @@ use super::{
     set_sizes::SetSizes,
 };
 use crate::{
-    domain::{Dataset, MemoryBudget, ModelKind, TrainOptions},
+    domain::{Dataset, Exposure, MemoryBudget, ModelKind, TrainOptions},
     eval::measuring_bytes,
     gpu::{AdapterReport, CONSTANT_BYTES},
     render::Rasterizer,
@@ -56,10 +56,12 @@ pub struct Needs<'a> {
     packed: u64,
     /// Points of the cloud, or random ones.
     points: usize,
+    /// Photographs with color corrections; none in a run without.
+    corrected: usize,
 }
 
 impl<'a> Needs<'a> {
-    /// Of a run on `dataset`.
+    /// Of a run on `dataset`, with color corrections only where `options` say `exposure=on`.
     #[must_use]
     pub fn of(dataset: &Dataset, options: &TrainOptions, adapter: &'a AdapterReport) -> Self {
         Self::of_sizes(SetSizes::of(dataset), options, adapter)
@@ -68,7 +70,7 @@ impl<'a> Needs<'a> {
     /// Of a run on a dataset of these sizes.
     #[must_use]
     pub fn of_sizes(sizes: SetSizes, options: &TrainOptions, adapter: &'a AdapterReport) -> Self {
-        let SetSizes { largest, mixed, photographs, masked, packed, points } = sizes;
+        let SetSizes { largest, mixed, photographs, training, masked, packed, points } = sizes;
         let schedule = Schedule::new(options).for_points(points == 0);
         Self {
             adapter,
@@ -78,6 +80,10 @@ impl<'a> Needs<'a> {
             masked,
             packed,
             points: if points > 0 { points } else { schedule.random_points },
+            corrected: match options.exposure {
+                Exposure::On => training,
+                Exposure::Auto | Exposure::Off => 0,
+            },
             footprint: match options.model {
                 ModelKind::Tcgs | ModelKind::Scaffold => Box::new(AnchorFootprint {
                     shape: schedule.shape,
@@ -119,7 +125,7 @@ impl<'a> Needs<'a> {
             PhotographPlace::Host => [of_steps, self.packed],
             PhotographPlace::Nowhere => [of_steps, 0],
         };
-        Estimate {
+        let mut estimate = Estimate {
             size,
             unit: model.unit(),
             photographs,
@@ -140,7 +146,12 @@ impl<'a> Needs<'a> {
                 part("growth", model.host_bytes(size)),
                 part("program", PROGRAM_BYTES),
             ],
+        };
+        if self.corrected > 0 {
+            let bytes = sizes * ColorCorrections::bytes(self.corrected, pixels as usize);
+            estimate.gpu.push(part("color corrections", bytes));
         }
+        estimate
     }
 
     /// Pairs of Gaussian and tile that the rasterizer is assumed to make room for.
@@ -245,6 +256,10 @@ mod tests {
         assert!(at(&[(640, 480)]) > at(&[(64, 48)]));
         assert_eq!(at(&[(640, 480), (640, 480)]), at(&[(640, 480)]));
         assert!(at(&[(640, 480), (480, 640)]) > at(&[(640, 480)]));
+        let corrected = TrainOptions { exposure: Exposure::On, ..options.clone() };
+        let [without, with] = [&options, &corrected]
+            .map(|options| Needs::of(&small, options, &adapter).estimate(1000).gpu_bytes());
+        assert!(with >= without + 16 * 64 * 48, "a corrected render");
     }
 
     #[test]

@@ -1,4 +1,4 @@
-//! Training: the training loop, its schedule, the image loss, Adam, growth and pruning, offset masks, checkpoints.
+//! Training: the training loop, its schedule, the image loss, color corrections, Adam, growth and pruning, offset masks, checkpoints.
 //!
 //! Invariant: the same dataset, options, seed and adapter give the same bits: every random choice comes from the seed, and every
 //! sum on the device has a fixed order.
@@ -15,6 +15,7 @@ mod compression;
 pub mod context;
 mod densify;
 mod error;
+mod exposure;
 mod feature_basis;
 mod footprint;
 mod init_bounds;
@@ -47,6 +48,7 @@ pub use compression::{ContextFitSettings, fit_contexts};
 pub use densify::{DensifySettings, densify};
 use error::Result;
 pub use error::{ContextError, TrainError};
+pub use exposure::{ColorCorrections, Learning};
 pub use loss::{ImageLoss, LossSums};
 pub use masks::{FIRST_LOGIT, MaskRows, OffsetMasks};
 pub use memory_estimate::{Estimate, OverBudget, PhotographPlace};

@@ -17,6 +17,8 @@ pub struct SetSizes {
     pub mixed: bool,
     /// Bytes of the photographs and masks in memory.
     pub photographs: u64,
+    /// Photographs to train on.
+    pub training: usize,
     /// Whether there are masks.
     pub masked: bool,
     /// Bytes of the training photographs that may be kept packed: those in memory.
@@ -35,6 +37,7 @@ impl SetSizes {
             largest,
             mixed: sizes().any(|size| size != largest),
             photographs: dataset.bytes_in_memory(),
+            training: dataset.split(Split::Train).count(),
             masked: dataset.frames.iter().any(|frame| frame.mask.is_some()),
             packed: dataset
                 .split(Split::Train)
@@ -57,9 +60,10 @@ impl SetSizes {
         let pixels = |camera: &NamedCamera| size(camera).map(u64::from).iter().product::<u64>();
         let all = cameras.iter().map(pixels).fold(0, u64::saturating_add);
         let train = cameras.iter().filter(|camera| camera.split == Split::Train);
+        let training = train.clone().count();
         let mixed = cameras.iter().any(|camera| size(camera) != largest);
         let train = train.map(pixels).fold(0, u64::saturating_add);
-        Self { largest, mixed, ..Self::of_pixels(all, train, points, memory_bytes) }
+        Self { largest, mixed, training, ..Self::of_pixels(all, train, points, memory_bytes) }
     }
 
     /// Of a dataset of which the summary alone is known: as of square images of the mean size.
@@ -69,7 +73,7 @@ impl SetSizes {
         let side = (summary.pixels.div_ceil(count) as f64).sqrt().ceil().max(1.0) as u32;
         let train = summary.pixels / count * summary.train as u64;
         let sizes = Self::of_pixels(summary.pixels, train, summary.points, memory_bytes);
-        Self { largest: [side, side], ..sizes }
+        Self { largest: [side, side], training: summary.train, ..sizes }
     }
 
     fn of_pixels(all: u64, train: u64, points: Option<usize>, memory_bytes: u64) -> Self {
@@ -80,6 +84,7 @@ impl SetSizes {
             largest: [1, 1],
             mixed: false,
             photographs: bytes.min(memory_bytes),
+            training: 0,
             masked: false,
             packed: (packed(train) as f64 * kept) as u64,
             points: points.unwrap_or(0),
@@ -136,6 +141,6 @@ mod tests {
             DatasetSummary { layout: Layout::Colmap, train: 2, test: 1, pixels, points: None, notes: vec![] };
         let sizes = SetSizes::of_summary(&summary, u64::MAX);
         assert_eq!((sizes.largest, sizes.mixed, sizes.points), ([48, 48], false, 0));
-        assert_eq!(sizes.photographs, loaded.photographs);
+        assert_eq!((sizes.photographs, sizes.training), (loaded.photographs, loaded.training));
     }
 }

@@ -1,7 +1,7 @@
 //! What a training run leaves.
 
 use super::BaseQuantSteps;
-use crate::domain::{Choices, ContextCandidates, Scene};
+use crate::domain::{Choices, ContextCandidates, ExposureChoice, Scene};
 
 /// A finished training run.
 #[derive(Debug, Clone)]
@@ -19,6 +19,8 @@ pub struct Trained {
     pub seconds: f64,
     /// What the run chose for its dataset and machine.
     pub choices: Choices,
+    /// Whether it learnt color corrections, and why.
+    pub exposure: ExposureChoice,
 }
 
 /// What compression-aware training leaves for the encoder.

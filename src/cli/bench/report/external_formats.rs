@@ -46,7 +46,8 @@ pub(super) fn measure(
         let file = wiring::read(&files::read(&decoded)?)
             .map_err(|error| error.in_file(decoded.display().to_string()))?;
         let background = output.metrics.background;
-        let (scores, _) = wiring::score(&open(file)?, dataset, background, None, &mut |_, _, _| Ok(()))?;
+        let wiring::Measured { scores, .. } =
+            wiring::score(&open(file)?, dataset, background, None, &mut |_, _, _| Ok(()))?;
         measured.push(ExternalFile { format, bytes, psnr: scores.psnr, ssim: scores.ssim });
     }
     Ok(measured)

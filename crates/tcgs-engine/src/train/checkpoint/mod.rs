@@ -17,7 +17,7 @@ pub(super) use run_state::{RunIdentity, RunState};
 use run_state::{differences, options_text};
 
 use super::Schedule;
-use crate::domain::{SceneFrame, TrainOptions};
+use crate::domain::{ExposureChoice, SceneFrame, TrainOptions};
 
 /// Version of the file format.
 const VERSION: &str = "1";
@@ -46,6 +46,11 @@ impl Checkpoint {
     /// The frame that its scene is trained in.
     pub(super) fn frame(&self) -> SceneFrame {
         self.run.frame()
+    }
+
+    /// Whether its run learns color corrections, and why.
+    pub(super) fn exposure(&self) -> ExposureChoice {
+        self.run.exposure()
     }
 
     /// The same state as a checkpoint of `branch`, one of the branches of the rate-distortion curve `trunk`. The branches differ only
@@ -96,7 +101,7 @@ mod tests {
 
     use super::*;
     use crate::{
-        domain::{Digest, Preset},
+        domain::{Digest, ExposureTrial, Preset},
         train::LossSums,
     };
 
@@ -113,7 +118,9 @@ mod tests {
         let mut rng = Pcg64::seed_from_u64(7);
         let _: u64 = rng.random();
         let frame = SceneFrame::new(glam::DVec3::new(0.1 + 0.2, -1e7, 0.0), 1.0 / 3.0).expect("a frame");
-        let mut run = RunState::new(identity(&options), frame, rng, 0.002);
+        let trial = ExposureTrial { views: 2, gain: 0.1 + 0.2, needed: 0.25 };
+        let run = RunState::new(identity(&options), frame, rng, 0.002);
+        let mut run = run.with_exposure(ExposureChoice::by(trial));
         run.step = 30;
         run.seconds = 12.5;
         run.order = vec![3, 0, 2];
@@ -136,6 +143,8 @@ mod tests {
         let bytes = written(&checkpoint());
         let back = Checkpoint::from_bytes(&bytes).expect("reads");
         assert_eq!(back, checkpoint());
+        let trial = ExposureTrial { views: 2, gain: 0.1 + 0.2, needed: 0.25 };
+        assert_eq!(back.exposure(), ExposureChoice { corrected: true, trial: Some(trial) });
         let options = options();
         let (mut run, _) = back.open(identity(&options), 30, 4).expect("of this run");
         let (mut other, _) = checkpoint().open(identity(&options), 30, 4).expect("of this run");

@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 
 use super::{CheckpointError, GENERATOR};
 use crate::{
-    domain::{Digest, SceneFrame, TrainOptions},
+    domain::{Digest, ExposureChoice, ExposureTrial, SceneFrame, TrainOptions},
     train::{LossSums, RateControl, RateControlState},
 };
 
@@ -39,6 +39,9 @@ pub(in crate::train) struct RunState {
     pub(in crate::train) order: Vec<usize>,
     /// The bits of the averages in progress reports: SSIM, L1, squared error, wavelet bands.
     average: Option<[u64; 4]>,
+    /// Whether the run learns color corrections; none where it does not and had no trial.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    exposure: Option<SavedExposure>,
     /// The bits of the rate term's weight in the loss.
     pub(super) lambda: u64,
     /// The state of that weight's controller.
@@ -50,6 +53,14 @@ pub(in crate::train) struct RunState {
     /// What an earlier version stored of a run that it could end early; never written.
     #[serde(default, skip_serializing)]
     scores: Option<EarlyEnd>,
+}
+
+/// An [`ExposureChoice`]; of the trial its views, and the bits of its gain and of the gain that was needed.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct SavedExposure {
+    corrected: bool,
+    trial: Option<(usize, u64, u64)>,
 }
 
 /// How a run with `until=converged` went that an earlier version began.
@@ -99,8 +110,29 @@ impl RunState {
             control: None,
             anchor_bits: None,
             file_bytes: None,
+            exposure: None,
             scores: None,
         }
+    }
+
+    /// With the choice of the run's color corrections.
+    pub(in crate::train) fn with_exposure(self, choice: ExposureChoice) -> Self {
+        let ExposureChoice { corrected, trial } = choice;
+        let trial =
+            trial.map(|ExposureTrial { views, gain, needed }| (views, gain.to_bits(), needed.to_bits()));
+        let is_stated = choice != ExposureChoice::OFF;
+        Self { exposure: is_stated.then_some(SavedExposure { corrected, trial }), ..self }
+    }
+
+    /// Whether the run learns color corrections, and why.
+    pub(in crate::train) fn exposure(&self) -> ExposureChoice {
+        let Some(SavedExposure { corrected, trial }) = self.exposure else { return ExposureChoice::OFF };
+        let trial = trial.map(|(views, gain, needed)| ExposureTrial {
+            views,
+            gain: f64::from_bits(gain),
+            needed: f64::from_bits(needed),
+        });
+        ExposureChoice { corrected, trial }
     }
 
     /// Continues the run on an adapter and with a growth limit that may differ from the previous ones. A larger limit is ignored,

@@ -11,12 +11,13 @@ use rand::{SeedableRng, seq::SliceRandom};
 use rand_pcg::Pcg64;
 
 use super::{
-    Checkpoint, CheckpointSink, Estimate, ImageLoss, LossSums, Needs, RateControl, Result, Schedule,
-    TrainError, WaveletWeights,
+    Checkpoint, CheckpointSink, ColorCorrections, Estimate, ImageLoss, Learning, LossSums, Needs,
+    RateControl, Result, Schedule, TrainError, WaveletWeights,
     anchor_stage::AnchorStage,
     anchor_trainer::AnchorTrainer,
     batch::{Batch, Flight, REPORT_INTERVAL},
     checkpoint::{ModelState, RunIdentity, RunState},
+    exposure::{ShortRun, Trial, choose},
     loss::PartialSums,
     model_trainer::{BitrateSample, FigureBuffers, FinishedModel, ModelTrainer, Step, Views},
     photographs::Photographs,
@@ -27,9 +28,9 @@ use super::{
 };
 use crate::{
     domain::{
-        Background, Camera, CancelFlag, Choices, Component, Dataset, FailurePoint, Frame, MemoryBudget,
-        ModelKind, NearPlane, Progress, Scene, SceneFrame, SizeBound, Split, TrainOptions, Widths,
-        failure_point::reach,
+        Background, Camera, CancelFlag, Choices, Component, Dataset, Exposure, ExposureChoice, FailurePoint,
+        Frame, MemoryBudget, ModelKind, NearPlane, Progress, Scene, SceneFrame, SizeBound, Split,
+        TrainOptions, Widths, failure_point::reach,
     },
     gpu::{Binding, Device, KernelVariant, RawBuffer, Readback, Recorder},
     init::random_points,
@@ -107,7 +108,19 @@ impl<'a, 'c> Trainer<'a, 'c> {
 
     fn run_until(self, goal: Goal, observer: &mut dyn FnMut(&Progress)) -> Result<Run> {
         let Self { device, dataset, options, budget, checkpoints, cancel } = self;
-        let mut run = Run::new(device, dataset, options, &budget, checkpoints.resume)?;
+        let started = Instant::now();
+        let exposure = match &checkpoints.resume {
+            Some(checkpoint) => checkpoint.exposure(),
+            None => {
+                let train: &ShortRun<'_> = &|dataset, options, report| {
+                    Trainer::new(device, dataset, options).within(budget).cancelled_by(&cancel).run(report)
+                };
+                choose(&Trial { device, dataset, options, cancel: &cancel, train }, observer)?
+            }
+        };
+        let trial_seconds = started.elapsed().as_secs_f64();
+        let mut run = Run::with_exposure(device, dataset, options, &budget, checkpoints.resume, exposure)?;
+        run.state.seconds += trial_seconds;
         run.run_until(goal, checkpoints.sink, observer, &cancel)?;
         Ok(run)
     }
@@ -294,15 +307,35 @@ struct Run {
     /// Progress of settled steps that is not reported yet.
     news: Vec<Progress>,
     photographs: Photographs,
+    /// Color corrections of the photographs, if the run learns them.
+    corrections: Option<ColorCorrections>,
 }
 
 impl Run {
+    /// A run whose color corrections the options or the checkpoint decide without a trial.
+    #[cfg(test)]
     fn new(
         device: &Arc<Device>,
         dataset: &Dataset,
         options: &TrainOptions,
         budget: &MemoryBudget,
         resume: Option<Checkpoint>,
+    ) -> Result<Self> {
+        let exposure = match &resume {
+            Some(checkpoint) => checkpoint.exposure(),
+            None if options.exposure == Exposure::On => ExposureChoice::ON,
+            None => ExposureChoice::OFF,
+        };
+        Self::with_exposure(device, dataset, options, budget, resume, exposure)
+    }
+
+    fn with_exposure(
+        device: &Arc<Device>,
+        dataset: &Dataset,
+        options: &TrainOptions,
+        budget: &MemoryBudget,
+        resume: Option<Checkpoint>,
+        exposure: ExposureChoice,
     ) -> Result<Self> {
         if dataset.split(Split::Train).next().is_none() {
             return Err(TrainError::NoTrainingFrames);
@@ -312,18 +345,25 @@ impl Run {
         let set = TrainingSet::of(dataset, frame)?;
         let cloud = set.points.as_ref().map_or(0, |points| points.positions.len());
         let mut schedule = Schedule::new(options).in_frame(frame).for_points(cloud == 0);
-        let estimate = Needs::of(dataset, options, device.adapter()).within(budget)?;
+        let decided = if exposure.corrected { Exposure::On } else { Exposure::Off };
+        let decided = TrainOptions { exposure: decided, ..options.clone() };
+        let estimate = Needs::of(dataset, &decided, device.adapter()).within(budget)?;
         tracing::info!("memory: {estimate}");
         let preset_size = schedule.max_size();
         warn_if_capped(preset_size, &estimate);
         let adapter = device.adapter_line();
         let max_size = estimate.size;
         let identity = RunIdentity { options, dataset: dataset.digest, adapter: &adapter, max_size };
+        let corrections = exposure.corrected.then(|| ColorCorrections::new(device, set.frames.len()));
+        let corrections = corrections.transpose()?;
         let (state, model) = match resume {
             Some(checkpoint) => {
-                let (mut state, saved) = checkpoint.open(identity, schedule.steps, set.frames.len())?;
+                let (mut state, mut saved) = checkpoint.open(identity, schedule.steps, set.frames.len())?;
                 tracing::info!(step = state.step, "resuming from step {}", state.step);
                 state.continue_on(&adapter, max_size);
+                if let Some(corrections) = &corrections {
+                    corrections.restore(&mut saved)?;
+                }
                 schedule.set_max_size(state.max_size);
                 let factory = ModelFactory { device, set: &set, schedule: schedule.clone() };
                 (state, factory.resume(saved)?)
@@ -334,7 +374,7 @@ impl Run {
                 schedule.set_max_size(max_size);
                 let factory = ModelFactory { device, set: &set, schedule: schedule.clone() };
                 let model = factory.create(&mut rng)?;
-                (RunState::new(identity, frame, rng, lambda), model)
+                (RunState::new(identity, frame, rng, lambda).with_exposure(exposure), model)
             }
         };
         let control = schedule.rate_control(options.max_bytes).map(|control| state.resume_control(control));
@@ -344,6 +384,7 @@ impl Run {
             points: if cloud > 0 { cloud } else { schedule.random_points },
             random_points: cloud == 0,
             narrowed_from: None,
+            exposure: exposure.trial.filter(|_| exposure.corrected),
         };
         let near = NearPlane::of_extent(scene_extent(&set)).depth();
         let settings = RasterSettings { near, ..RasterSettings::default() };
@@ -372,6 +413,7 @@ impl Run {
             device: Arc::clone(device),
             frame,
             frames: set.frames,
+            corrections,
         };
         run.tell_of_masks()?;
         Ok(run)
@@ -586,7 +628,16 @@ impl Run {
         let wavelet = self.wavelet.then(|| WaveletWeights::at(step.fraction));
         let photograph = (&photograph, counted);
         let render = self.raster.image();
-        let d_image = self.loss.record_counted(&mut recorder, size, render, photograph, wavelet.as_ref())?;
+        let corrections = self.corrections.as_mut();
+        let corrected =
+            corrections.map(|all| all.correct(&mut recorder, index, render, pixels)).transpose()?;
+        let seen = corrected.as_ref().unwrap_or(render);
+        let d_image = self.loss.record_counted(&mut recorder, size, seen, photograph, wavelet.as_ref())?;
+        if let Some(corrections) = &mut self.corrections {
+            let learning = Learning::at(&step, self.schedule.steps, index, self.frames.len());
+            let overflow_flag = self.raster.overflow_flag();
+            corrections.learn(&mut recorder, learning, render, d_image, overflow_flag)?;
+        }
         let gaussians = self.model.gaussians().clone();
         let d_gaussians = self.model.gaussian_gradients()?;
         next_stage(&mut recorder, "rasterizer backward")?;
@@ -699,7 +750,11 @@ impl Run {
     fn checkpoint(&self) -> Result<Checkpoint> {
         let mut state = self.state.clone();
         state.seconds += self.started.elapsed().as_secs_f64();
-        Ok(Checkpoint::new(state, self.model.save()?))
+        let mut model = self.model.save()?;
+        if let Some(corrections) = &self.corrections {
+            corrections.save(&mut model)?;
+        }
+        Ok(Checkpoint::new(state, model))
     }
 
     fn finish(mut self, cancel: &CancelFlag) -> Result<Trained> {
@@ -720,9 +775,12 @@ impl Run {
         let narrowed_from =
             is_pruned.then_some(Widths { features: learnt.features, offsets: learnt.offsets });
         let choices = Choices { narrowed_from, ..self.choices };
-        Ok(Trained { scene, unrounded, context, steps, seconds, choices })
+        let exposure = self.state.exposure();
+        Ok(Trained { scene, unrounded, context, steps, seconds, choices, exposure })
     }
 }
 
+#[cfg(test)]
+mod exposure_tests;
 #[cfg(test)]
 mod tests;

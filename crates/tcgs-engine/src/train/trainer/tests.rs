@@ -5,7 +5,7 @@ use super::*;
 use crate::{
     domain::{Camera, Digest, Image, Intrinsics, Layout, PointCloud, Pose, Preset},
     gpu::testing::lavapipe,
-    train::CheckpointError,
+    train::{CheckpointError, exposure::distance_of_mean},
 };
 
 /// Growth comes at step 25; noise after 5, the context model after 18, and everything is rounded after 46.
@@ -237,6 +237,50 @@ fn no_part_of_a_long_step_is_too_long_for_a_slow_card() {
             };
             let longest = MS_A_GAUSSIAN_BACKWARD * gaussians as f64;
             assert!(longest <= MAX_SUBMISSION_MS, "{preset} {model}: {longest} ms for {gaussians} Gaussians");
+        }
+    }
+}
+
+#[test]
+fn color_corrections_keep_their_mean_and_go_on_from_any_step_with_the_same_bits() {
+    let (device, dataset) = (lavapipe(), dataset());
+    let budget = MemoryBudget { host: u64::MAX, gpu: u64::MAX };
+    for model in ModelKind::ALL {
+        let exposure = Exposure::On;
+        let options =
+            TrainOptions { model, exposure, iterations: Some(STEPS), seed: 3, ..TrainOptions::default() };
+        let begin = |resume| Run::new(&device, &dataset, &options, &budget, resume).expect("begins");
+        let run_to = |run: &mut Run, last: u32| {
+            while run.state.step < last {
+                run.advance(&mut |step| step == last, &CancelFlag::default()).expect("steps");
+            }
+        };
+        let corrections = |run: &Run| run.corrections.as_ref().expect("corrections").read().expect("read");
+        let mut whole = begin(None);
+        let mut kept = Vec::new();
+        for step in [3, 20, 49] {
+            run_to(&mut whole, step);
+            let now = corrections(&whole);
+            assert_eq!(now.len(), 7);
+            assert!(distance_of_mean(&now) < 1e-6, "{model} {step}: {}", distance_of_mean(&now));
+            let mut bytes = Vec::new();
+            whole.checkpoint().expect("state").write(&mut bytes).expect("memory takes it");
+            kept.push((step, Checkpoint::from_bytes(&bytes).expect("read")));
+        }
+        run_to(&mut whole, STEPS);
+        let learnt = corrections(&whole);
+        assert!(learnt[0] != learnt[1], "{learnt:?}");
+        let scene = whole.finish(&CancelFlag::default()).expect("a scene").scene;
+        for (step, checkpoint) in kept {
+            assert_eq!(checkpoint.exposure(), ExposureChoice::ON);
+            let mut resumed = begin(Some(checkpoint));
+            // Overflows repeat steps, and longer batches have more of them in flight.
+            resumed.batch = Batch::Fixed(10);
+            resumed.raster.set_initial_capacity(1);
+            run_to(&mut resumed, STEPS);
+            assert!(corrections(&resumed) == learnt, "{model}: other corrections after step {step}");
+            let other = resumed.finish(&CancelFlag::default()).expect("a scene").scene;
+            assert!(other == scene, "{model}: another scene after step {step}");
         }
     }
 }

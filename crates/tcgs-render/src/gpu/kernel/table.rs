@@ -180,6 +180,11 @@ kernels! {
         "sum_losses": ONE.by_variant(),
         "wavelet": MASKED,
     }
+    "exposure" {
+        "correct_colors": ONE,
+        "correct_colors_gradient": ONE,
+        "correction_step": ONE,
+    }
     "masks" {
         "mask_loss": ONE.of_shape(),
         "mask_gradient": ONE.of_shape().by_variant(),
