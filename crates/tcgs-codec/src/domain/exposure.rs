@@ -6,8 +6,10 @@ use super::choice::named_choice;
 
 named_choice! {
     /// Whether each photograph has an affine color correction of its own, learnt with the scene (METHOD.md §2.11).
+    #[derive(Default)]
     pub enum Exposure {
         /// On for photographs if training views that are set aside gain by it.
+        #[default]
         Auto = "auto",
         /// Always.
         On = "on",

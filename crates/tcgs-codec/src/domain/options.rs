@@ -112,8 +112,10 @@ named_choice! {
 
 named_choice! {
     /// When a run ends: after all of its steps.
+    #[derive(Default)]
     pub enum Until {
         /// After all of its steps.
+        #[default]
         Full = "full",
         /// The same. Jobs, checkpoints and files of earlier versions, which could end a run early, still say so.
         Converged = "converged",
@@ -168,7 +170,7 @@ pub struct TrainOptions {
     /// Steps; the preset's own number if absent.
     pub iterations: Option<u32>,
     /// An option of earlier versions, without effect; serialized only where they did.
-    #[serde(skip_serializing_if = "is_full")]
+    #[serde(skip_serializing_if = "is_default")]
     pub until: Until,
     /// Seed of every random choice.
     pub seed: u64,
@@ -196,22 +198,22 @@ pub struct TrainOptions {
     /// Weights of the rate term, each for a branch of the run with its own file; empty for one run and one file.
     pub rd_curve: Vec<f64>,
     /// Whether photographs are turned as their EXIF orientation says; serialized only if it is stated.
-    #[serde(skip_serializing_if = "is_auto")]
+    #[serde(skip_serializing_if = "is_default")]
     pub exif_orientation: ExifOrientation,
     /// Where masks are; serialized only if it is stated.
-    #[serde(skip_serializing_if = "is_anywhere")]
+    #[serde(skip_serializing_if = "is_default")]
     pub masks: MaskSource,
     /// What masks and transparency mean; serialized only if it is stated.
-    #[serde(skip_serializing_if = "is_usual")]
+    #[serde(skip_serializing_if = "is_default")]
     pub mask_mode: MaskMode,
     /// Whether listed photographs that are missing are left out; serialized only if they are.
-    #[serde(skip_serializing_if = "is_false")]
+    #[serde(skip_serializing_if = "is_default")]
     pub skip_missing: bool,
     /// Which photographs are held out; serialized only if it is stated.
-    #[serde(skip_serializing_if = "is_usual_holdout")]
+    #[serde(skip_serializing_if = "is_default")]
     pub holdout: HoldOut,
     /// Whether each photograph has a color correction of its own; serialized only if it is stated.
-    #[serde(skip_serializing_if = "is_tried")]
+    #[serde(skip_serializing_if = "is_default")]
     pub exposure: Exposure,
 }
 
@@ -220,38 +222,8 @@ fn is_positive(value: f64) -> bool {
     value.is_finite() && value > 0.0 && (value as f32).is_normal()
 }
 
-#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde passes a reference")]
-fn is_full(until: &Until) -> bool {
-    *until == Until::Full
-}
-
-#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde passes a reference")]
-fn is_auto(orientation: &ExifOrientation) -> bool {
-    *orientation == ExifOrientation::Auto
-}
-
-fn is_anywhere(masks: &MaskSource) -> bool {
-    *masks == MaskSource::Auto
-}
-
-#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde passes a reference")]
-fn is_usual(mode: &MaskMode) -> bool {
-    *mode == MaskMode::Auto
-}
-
-#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde passes a reference")]
-fn is_false(value: &bool) -> bool {
-    !value
-}
-
-#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde passes a reference")]
-fn is_usual_holdout(holdout: &HoldOut) -> bool {
-    *holdout == HoldOut::Auto
-}
-
-#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde passes a reference")]
-fn is_tried(exposure: &Exposure) -> bool {
-    *exposure == Exposure::Auto
+fn is_default<T: Default + PartialEq>(value: &T) -> bool {
+    *value == T::default()
 }
 
 impl Default for TrainOptions {

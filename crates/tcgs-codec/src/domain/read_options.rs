@@ -8,8 +8,10 @@ use super::choice::named_choice;
 
 named_choice! {
     /// Whether photographs are turned as the EXIF orientation in them says.
+    #[derive(Default)]
     pub enum ExifOrientation {
         /// Where the cameras are those of the turned pixels.
+        #[default]
         Auto = "auto",
         /// Always.
         Apply = "apply",
@@ -20,8 +22,10 @@ named_choice! {
 
 named_choice! {
     /// What masks and transparency mean.
+    #[derive(Default)]
     pub enum MaskMode {
         /// What masks hide is ignored; what is transparent is cut out.
+        #[default]
         Auto = "auto",
         /// Both hide what is neither learnt nor measured.
         Ignore = "ignore",
@@ -32,8 +36,10 @@ named_choice! {
 
 named_choice! {
     /// Which photographs are held out.
+    #[derive(Default)]
     pub enum HoldOut {
         /// The layout's own test views; without such, every eighth by name.
+        #[default]
         Auto = "auto",
         /// The eighth of all photographs whose cameras are nearest to that of the first by name.
         Sector = "sector",
@@ -116,7 +122,7 @@ impl<'de> Deserialize<'de> for MaskSource {
 }
 
 /// How the files of a dataset are read.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct ReadOptions {
     /// What EXIF orientations do.
     pub exif_orientation: ExifOrientation,
@@ -128,18 +134,6 @@ pub struct ReadOptions {
     pub skip_missing: bool,
     /// Which photographs are held out.
     pub holdout: HoldOut,
-}
-
-impl Default for ReadOptions {
-    fn default() -> Self {
-        Self {
-            exif_orientation: ExifOrientation::Auto,
-            masks: MaskSource::Auto,
-            mask_mode: MaskMode::Auto,
-            skip_missing: false,
-            holdout: HoldOut::Auto,
-        }
-    }
 }
 
 #[cfg(test)]
