@@ -167,14 +167,7 @@ pub fn load_sample(
 ) -> Result<Dataset, IngestError> {
     let reading = reading.clone();
     let options = SurveyOptions { reading, decode_bytes: budget.memory_bytes, should_continue };
-    let limits = Limits::default();
-    let tree = Tree::open(Purpose::Load, path, &limits)?;
-    let faults = tree.disk_faults();
-    let loaded = survey(tree, &limits, &options).and_then(|(tree, mut survey)| {
-        survey.thin_out(most);
-        load_surveyed(tree, survey, &limits, budget, &options)
-    });
-    loaded.map_err(|error| faults.or(error))
+    load_thinned(path, &Limits::default(), budget, &options, Some(most))
 }
 
 /// Checks a dataset as far as possible without decoding pixels: the archive, the layout, poses, cameras, points, and
@@ -236,19 +229,26 @@ fn load_with(
     budget: &LoadBudget,
     options: &SurveyOptions,
 ) -> Result<Dataset, IngestError> {
-    let tree = Tree::open(Purpose::Load, path, limits)?;
-    let faults = tree.disk_faults();
-    load_tree(tree, limits, budget, options).map_err(|error| faults.or(error))
+    load_thinned(path, limits, budget, options, None)
 }
 
-fn load_tree(
-    tree: Tree,
+/// All photographs, or at most `most` of those to train on.
+fn load_thinned(
+    path: &Path,
     limits: &Limits,
     budget: &LoadBudget,
     options: &SurveyOptions,
+    most: Option<usize>,
 ) -> Result<Dataset, IngestError> {
-    let (tree, survey) = survey(tree, limits, options)?;
-    load_surveyed(tree, survey, limits, budget, options)
+    let tree = Tree::open(Purpose::Load, path, limits)?;
+    let faults = tree.disk_faults();
+    let loaded = survey(tree, limits, options).and_then(|(tree, mut survey)| {
+        if let Some(most) = most {
+            survey.thin_out(most);
+        }
+        load_surveyed(tree, survey, limits, budget, options)
+    });
+    loaded.map_err(|error| faults.or(error))
 }
 
 fn load_surveyed(
