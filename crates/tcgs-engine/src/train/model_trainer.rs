@@ -10,7 +10,7 @@ use rand_pcg::Pcg64;
 use super::{Result, SizeAim, checkpoint::ModelState, photographs::Photographs, trained::TrainedContext};
 use crate::{
     domain::{Background, Camera, CancelFlag, Frame, Scene},
-    gpu::{Buffer, Recorder},
+    gpu::{Buffer, Device, Recorder},
     render::{GaussianGradients, Gaussians, Rasterizer},
 };
 
@@ -37,6 +37,23 @@ pub(super) struct Views<'a> {
     pub photographs: &'a mut Photographs,
     pub background: Background,
     pub cancel: &'a CancelFlag,
+}
+
+/// Submits what `record` records, a forward pass of `raster` at its end, until there is room for all intersections. Waits for the device.
+pub(super) fn submit_with_room(
+    device: &Device,
+    raster: &mut Rasterizer,
+    mut record: impl FnMut(&mut Rasterizer, &mut Recorder<'_>) -> Result<()>,
+) -> Result<()> {
+    loop {
+        let mut recorder = device.recorder("view to measure");
+        record(raster, &mut recorder)?;
+        recorder.submit()?;
+        match raster.take_forward_passes()?.required {
+            None => return Ok(()),
+            Some(needed) => raster.reserve(needed)?,
+        }
+    }
 }
 
 /// How large a model is.

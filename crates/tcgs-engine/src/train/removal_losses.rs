@@ -2,7 +2,7 @@
 
 use super::{
     Result, TrainError,
-    model_trainer::{ModelTrainer, Step, Views},
+    model_trainer::{ModelTrainer, Step, Views, submit_with_room},
 };
 use crate::{domain::Frame, gpu::Device};
 
@@ -23,16 +23,10 @@ pub(super) fn removal_losses<M: ModelTrainer>(
         if cancel.is_cancelled() {
             return Err(TrainError::Cancelled);
         }
-        loop {
-            let mut recorder = device.recorder("view to measure");
-            model.forward(&mut recorder, camera, step)?;
-            raster.forward(&mut recorder, model.gaussians(), camera, background.rgb())?;
-            recorder.submit()?;
-            match raster.take_forward_passes()?.required {
-                None => break,
-                Some(needed) => raster.reserve(needed)?,
-            }
-        }
+        submit_with_room(device, raster, |raster, recorder| {
+            model.forward(recorder, camera, step)?;
+            Ok(raster.forward(recorder, model.gaussians(), camera, background.rgb())?)
+        })?;
         let gaussians = model.gaussians().clone();
         let out = model.gaussian_gradients()?;
         let mut recorder = device.recorder("error without Gaussians");

@@ -3,7 +3,11 @@
 //! A gradient of random signs as the image's, taken back to an anchor's feature, is a random vector whose products average to those
 //! of the picture's derivatives by the feature's channels.
 
-use super::{Result, TrainError, feature_basis::add_products, model_trainer::Views};
+use super::{
+    Result, TrainError,
+    feature_basis::add_products,
+    model_trainer::{Views, submit_with_room},
+};
 use crate::{
     eval::signs,
     gpu::Device,
@@ -37,16 +41,10 @@ pub(super) fn feature_sensitivity(
             return Err(TrainError::Cancelled);
         }
         let camera = &frames[(2 * view + 1) * frames.len() / (2 * views)].camera;
-        loop {
-            let mut recorder = device.recorder("view to measure");
-            neural.forward(&mut recorder, anchors, camera, 0.0)?;
-            raster.forward(&mut recorder, neural.gaussians(), camera, GRAY)?;
-            recorder.submit()?;
-            match raster.take_forward_passes()?.required {
-                None => break,
-                Some(needed) => raster.reserve(needed)?,
-            }
-        }
+        submit_with_room(device, raster, |raster, recorder| {
+            neural.forward(recorder, anchors, camera, 0.0)?;
+            Ok(raster.forward(recorder, neural.gaussians(), camera, GRAY)?)
+        })?;
         let pixels = (camera.intrinsics.width * camera.intrinsics.height) as usize;
         let d_image = device.upload("random signs", &signs(view as u32, pixels))?;
         let gaussians = neural.gaussians().clone();
