@@ -13,8 +13,10 @@ pub struct Variant {
     without: Option<Component>,
     /// The part that is switched on although it is off by default in short runs.
     with: Option<Component>,
-    /// The number of Gaussians, and whether growth ends at it; else more are pruned to it.
-    gaussians: Option<(u32, bool)>,
+    /// The number of Gaussians that more are pruned to.
+    target_gaussians: Option<u32>,
+    /// The number of Gaussians that growth ends at.
+    max_gaussians: Option<u32>,
 }
 
 /// After the number of Gaussians that growth ends at.
@@ -27,8 +29,8 @@ impl Variant {
             model: self.model,
             without: self.without.into_iter().collect(),
             with: self.with.into_iter().collect(),
-            target_gaussians: self.gaussians.filter(|(_, capped)| !capped).map(|(number, _)| number),
-            max_gaussians: self.gaussians.filter(|(_, capped)| *capped).map(|(number, _)| number),
+            target_gaussians: self.target_gaussians,
+            max_gaussians: self.max_gaussians,
             ..shared.clone()
         }
     }
@@ -43,8 +45,11 @@ impl fmt::Display for Variant {
         if let Some(part) = self.with {
             write!(f, "+{part}")?;
         }
-        if let Some((number, capped)) = self.gaussians {
-            write!(f, ":{number}{}", if capped { CAPPED } else { "" })?;
+        if let Some(number) = self.target_gaussians {
+            write!(f, ":{number}")?;
+        }
+        if let Some(number) = self.max_gaussians {
+            write!(f, ":{number}{CAPPED}")?;
         }
         Ok(())
     }
@@ -59,14 +64,15 @@ impl FromStr for Variant {
         if text.contains('@') {
             return Err(format!("'{text}': weights have a list of their own, lambda"));
         }
-        let (text, gaussians) = match text.split_once(':') {
-            None => (text, None),
-            Some((model, number)) => {
-                let capped = number.ends_with(CAPPED);
-                let number = number.trim_end_matches(CAPPED);
-                let error = |_| format!("'{number}' is not a number of Gaussians");
-                (model, Some((number.parse().map_err(error)?, capped)))
-            }
+        let number = |text: &str| {
+            text.parse::<u32>().map(Some).map_err(|_| format!("'{text}' is not a number of Gaussians"))
+        };
+        let (text, target_gaussians, max_gaussians) = match text.split_once(':') {
+            None => (text, None, None),
+            Some((model, count)) => match count.strip_suffix(CAPPED) {
+                None => (model, number(count)?, None),
+                Some(count) => (model, None, number(count)?),
+            },
         };
         let part = |text: &str| text.parse::<Component>();
         let (name, with) = match text.split_once('+') {
@@ -81,7 +87,7 @@ impl FromStr for Variant {
         if (without.is_some() || with.is_some()) && model != ModelKind::Tcgs {
             return Err(format!("'{text}': only tcgs has parts to leave out or to ask for"));
         }
-        let variant = Self { model, without, with, gaussians };
+        let variant = Self { model, without, with, target_gaussians, max_gaussians };
         variant.options(&TrainOptions::default()).validated().map_err(|error| error.error)?;
         Ok(variant)
     }
