@@ -37,6 +37,8 @@ pub use packed_image::PackedImage;
 pub use plain::{DeviceGaussians, PlainGaussians, STATISTICS};
 pub use projection::{Projection, RasterSettings, TILE};
 pub use rasterizer::{ForwardPasses, RasterCounts, Rasterizer, sum_slots};
+#[cfg(target_arch = "wasm32")]
+pub use renderer::PageRenderer;
 pub use renderer::{Renderer, Views};
 pub use scene_viewer::SceneViewer;
 pub use views::RenderViews;

@@ -55,6 +55,12 @@ impl PackedImage {
         Ok(PendingImage { read, pixels })
     }
 
+    /// The last submitted image, a word a pixel, then the counters.
+    #[cfg(target_arch = "wasm32")]
+    pub(super) fn words(&self) -> &Buffer<u32> {
+        &self.words
+    }
+
     /// The image, row by row as red, green and blue, and the counters. Waits for the device.
     pub fn finish_read(&mut self, device: &Device, image: PendingImage) -> Result<(Vec<u8>, Vec<u32>)> {
         let unpack = |words: &[u32]| {
@@ -73,6 +79,6 @@ impl PackedImage {
 /// An image on its way from the device.
 #[derive(Debug)]
 pub struct PendingImage {
-    read: PendingRead,
+    pub(super) read: PendingRead,
     pixels: usize,
 }

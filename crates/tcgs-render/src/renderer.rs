@@ -15,6 +15,12 @@ use crate::{
     model::{AnchorRows, GaussianRows, ModelShape, NetworkLayout},
 };
 
+#[cfg(target_arch = "wasm32")]
+mod page;
+
+#[cfg(target_arch = "wasm32")]
+pub use page::PageRenderer;
+
 /// A scene on the device, ready to be rendered.
 #[derive(Debug)]
 pub struct Renderer {
@@ -135,20 +141,27 @@ impl Renderer {
         Views { renderer: self, cameras: cameras.fuse(), pending: None }
     }
 
-    /// Submits a view.
-    fn start(&mut self, camera: Camera) -> Result<PendingView> {
+    /// Submits a view, rounded to 8 bits, and returns where it will be.
+    fn submit_packed(&mut self, camera: &Camera) -> Result<&mut PackedImage> {
         let device = Arc::clone(&self.device);
         let packed = match &mut self.packed {
             Some(packed) => packed,
             none => none.insert(PackedImage::new(&device)?),
         };
         let mut recorder = device.recorder("view");
-        let inside = self.frame.camera_from_world(&camera);
+        let inside = self.frame.camera_from_world(camera);
         let gaussians = self.source.forward(&mut recorder, &inside)?;
         self.raster.forward(&mut recorder, gaussians, &inside, self.background.rgb())?;
         packed.record(&device, &mut recorder, self.raster.image(), self.raster.counters())?;
         recorder.submit()?;
-        Ok(PendingView { camera, image: packed.start_read(&device)?, capacity: self.raster.capacity() })
+        Ok(packed)
+    }
+
+    /// Submits a view and the reading of it.
+    fn start(&mut self, camera: Camera) -> Result<PendingView> {
+        let device = Arc::clone(&self.device);
+        let image = self.submit_packed(&camera)?.start_read(&device)?;
+        Ok(PendingView { camera, image, capacity: self.raster.capacity() })
     }
 
     /// Waits for a view. One without room for its intersections renders again with more.
@@ -158,17 +171,22 @@ impl Renderer {
             let no_view = || RenderError::Scene("a view was not started".to_owned());
             let packed = self.packed.as_mut().ok_or_else(no_view)?;
             let (samples, counters) = packed.finish_read(&device, view.image)?;
-            let counts = Rasterizer::counts_of(&counters, view.capacity);
-            if !counts.overflowed {
+            if !self.grow_for(&counters, view.capacity)? {
                 break samples;
-            }
-            if counts.intersections as usize > self.raster.capacity() {
-                self.raster.grow(&counts)?;
             }
             view = self.start(view.camera)?;
         };
         let (width, height) = (view.camera.intrinsics.width, view.camera.intrinsics.height);
         Image::new(width, height, 3, samples).map_err(|error| RenderError::Scene(error.to_string()))
+    }
+
+    /// Whether a view with room for `capacity` intersections lacks some, by its counters: then there is more room from now on.
+    fn grow_for(&mut self, counters: &[u32], capacity: usize) -> Result<bool> {
+        let counts = Rasterizer::counts_of(counters, capacity);
+        if counts.overflowed && counts.intersections as usize > self.raster.capacity() {
+            self.raster.grow(&counts)?;
+        }
+        Ok(counts.overflowed)
     }
 
     /// Renders the view from `camera` once more and leaves it on the device; the scene must have been rendered from there before.
@@ -190,6 +208,11 @@ impl Renderer {
     /// One number a pixel of the view from `camera`.
     pub fn plane(&mut self, camera: &Camera, kind: ScalarKind) -> Result<ScalarImage> {
         let pixels = self.blend(camera, kind == ScalarKind::Depth)?;
+        Ok(self.scalars(camera, kind, &pixels))
+    }
+
+    /// One number for each of the blended pixels of a view.
+    fn scalars(&self, camera: &Camera, kind: ScalarKind, pixels: &[[f32; 4]]) -> ScalarImage {
         let scale = self.frame.scale() as f32;
         let value = |[first, _, _, transmittance]: &[f32; 4]| {
             let alpha = (1.0 - transmittance).clamp(0.0, 1.0);
@@ -200,7 +223,7 @@ impl Renderer {
             }
         };
         let values = pixels.iter().map(value).collect();
-        Ok(ScalarImage { width: camera.intrinsics.width, height: camera.intrinsics.height, values })
+        ScalarImage { width: camera.intrinsics.width, height: camera.intrinsics.height, values }
     }
 
     /// Blends the colors over the background, or the depths over nothing: three channels and the transmittance.

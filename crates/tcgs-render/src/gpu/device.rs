@@ -51,19 +51,23 @@ impl Device {
     ///
     /// # Errors
     /// [`GpuError::Open`].
-    pub(super) fn open(
+    pub(super) async fn open(
         adapter: &wgpu::Adapter,
         report: AdapterReport,
         max_wait: Duration,
     ) -> Result<Self, GpuError> {
         let wanted = wgpu::Features::SUBGROUP | wgpu::Features::TIMESTAMP_QUERY;
-        let (inner, queue) = pollster::block_on(adapter.request_device(&wgpu::DeviceDescriptor {
+        let request = adapter.request_device(&wgpu::DeviceDescriptor {
             label: Some("tcgs"),
             required_features: adapter.features() & wanted,
             required_limits: adapter.limits(),
             ..wgpu::DeviceDescriptor::default()
-        }))
-        .map_err(|error| GpuError::Open { adapter: report.name.clone(), error: error.to_string() })?;
+        });
+        let refused = |error: wgpu::RequestDeviceError| GpuError::Open {
+            adapter: report.name.clone(),
+            error: error.to_string(),
+        };
+        let (inner, queue) = request.await.map_err(refused)?;
         let (ledger, bind_groups) = (Arc::new(Ledger::new()), Arc::default());
         let constants = Constants::new(&inner, &ledger, &bind_groups);
         let faults = Arc::new(Faults::default());

@@ -14,7 +14,10 @@ mod driver_cache;
 mod error;
 mod kernel;
 mod ledger;
+mod mapping;
 mod open;
+#[cfg(target_arch = "wasm32")]
+mod page;
 mod plan;
 mod profile;
 mod readback;
@@ -40,6 +43,8 @@ pub use kernel::{
     Kernel, KernelSource, kernel_source,
     table::{Definitions, KERNELS, KernelEntry, find_kernel},
 };
+#[cfg(target_arch = "wasm32")]
+pub use page::{OffscreenCanvas, PageCanvas};
 pub use plan::Plan;
 pub use plan::planned;
 pub use profile::{Profile, RecordingProfile};

@@ -26,7 +26,7 @@ impl Device {
         let adapter = adapter::choose(choice)?;
         let report = settings.apply(adapter::describe(&adapter));
         let max_wait = settings.max_wait(&report);
-        let mut device = Self::open(&adapter, report, max_wait)?;
+        let mut device = pollster::block_on(Self::open(&adapter, report, max_wait))?;
         let stated = settings.subgroups.unwrap_or_else(|| Subgroups::stated_by(device.adapter()));
         device.subgroups = verified(stated, &device)?;
         device.profile = settings.profile.then(Profile::default);

@@ -3,9 +3,9 @@
 //! Invariants: a read gives what its submission copied and waits for that submission alone; a staging buffer whose read failed or was
 //! dropped is freed, not kept.
 
-use std::ops::Range;
+use std::{ops::Range, sync::Arc};
 
-use super::{Buffer, Device, GpuError, ledger::Reservation};
+use super::{Buffer, Device, GpuError, ledger::Reservation, mapping::Mapping};
 
 /// A buffer that the host maps to read copies of others.
 #[derive(Debug)]
@@ -19,6 +19,7 @@ pub(super) struct StagingBuffer {
 pub struct PendingRead {
     staging: StagingBuffer,
     submission: wgpu::SubmissionIndex,
+    mapping: Arc<Mapping>,
     /// Without alignment.
     bytes: usize,
 }
@@ -52,8 +53,16 @@ impl StagingBuffer {
 impl PendingRead {
     /// The read of the first `bytes` bytes of `staging` after `submission`, which copies into it.
     pub(super) fn after(submission: wgpu::SubmissionIndex, staging: StagingBuffer, bytes: usize) -> Self {
-        staging.inner.slice(..).map_async(wgpu::MapMode::Read, |_| ());
-        Self { staging, submission, bytes }
+        let mapping = Arc::new(Mapping::default());
+        let ended = Arc::clone(&mapping);
+        staging.inner.slice(..).map_async(wgpu::MapMode::Read, move |_| ended.end());
+        Self { staging, submission, mapping, bytes }
+    }
+
+    /// Waits without blocking until [`PendingRead::finish`] finds the copy or the fault. On a page, the browser drives the device;
+    /// elsewhere, somebody has to wait for it meanwhile.
+    pub async fn mapped(&self) {
+        self.mapping.ended().await;
     }
 
     /// Waits for the submission, passes the elements to `take`, and returns its result and the staging buffer, which is not mapped.
@@ -66,7 +75,7 @@ impl PendingRead {
         device: &Device,
         take: impl FnOnce(&[T]) -> R,
     ) -> Result<(R, StagingBuffer), GpuError> {
-        let Self { staging, submission, bytes } = self;
+        let Self { staging, submission, bytes, .. } = self;
         device.wait_for(submission)?;
         let unreadable = |error: String| GpuError::Rejected(format!("mapping for reading: {error}"));
         let view =
@@ -217,6 +226,19 @@ mod tests {
         device.destroy();
         let found = staging.finish(&device, read, <[u32]>::to_vec);
         assert!(matches!(found, Err(GpuError::DeviceLost(_) | GpuError::Rejected(_))), "{found:?}");
+    }
+
+    #[test]
+    fn a_reading_can_be_awaited_while_another_thread_waits_for_the_device() {
+        let device = lavapipe();
+        let buffer = device.upload("numbers", &[1_u32, 2, 3]).expect("room");
+        let mut staging = Staging::default();
+        let read = staging.start(&device, &buffer, 0..3).expect("submits");
+        std::thread::scope(|scope| {
+            scope.spawn(|| device.wait());
+            pollster::block_on(read.mapped());
+        });
+        assert_eq!(staging.finish(&device, read, <[u32]>::to_vec), Ok(vec![1, 2, 3]));
     }
 
     #[test]

@@ -123,7 +123,9 @@ impl Kernel {
         id: u64,
     ) -> Result<Self, GpuError> {
         let module = compose(composer, source, defs)?;
-        let scope = device.push_error_scope(wgpu::ErrorFilter::Validation);
+        // A page cannot wait for its faults: there, the device has them.
+        let scope =
+            (!cfg!(target_arch = "wasm32")).then(|| device.push_error_scope(wgpu::ErrorFilter::Validation));
         let module = shader_module(
             device,
             wgpu::ShaderModuleDescriptor {
@@ -143,7 +145,7 @@ impl Kernel {
             },
             cache: None,
         });
-        if let Some(error) = pollster::block_on(scope.pop()) {
+        if let Some(error) = scope.and_then(|scope| pollster::block_on(scope.pop())) {
             return Err(GpuError::Kernel { kernel: source.name.to_owned(), error: error.to_string() });
         }
         let layout = pipeline.get_bind_group_layout(0);
