@@ -19,7 +19,7 @@ FUZZ_SECONDS ?= 600
 KILLS ?= 105
 SOAK_TESTS ?= system::soak system::crash_points system::io_faults system::reordered bucket_faults
 
-.PHONY: help setup build demo poses results long-results gate test examples schemathesis generated-client container-smoke manifests swiftshader validation interop external-formats gpu-kit hardware-report fuzz soak lint clean
+.PHONY: help setup web build demo poses results long-results gate test examples schemathesis generated-client container-smoke manifests swiftshader validation interop external-formats gpu-kit hardware-report fuzz soak lint clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## /  make \1\t/p' Makefile | expand -t 16
@@ -27,10 +27,13 @@ help: ## list the targets
 setup: ## install what this machine lacks (apt, rustup); silent when nothing is missing
 	@scripts/setup.sh
 
-build: setup ## build target/release/tcgs
+web: setup ## build the viewer for browsers, which builds of tcgs after it embed
+	@scripts/web.sh
+
+build: web ## build target/release/tcgs
 	@$(CARGO) build --release --locked
 
-demo: setup ## the bundled scene through the service: train, download, render into out/demo
+demo: web ## the bundled scene through the service: train, download, render into out/demo
 	@scripts/demo.sh
 
 poses: setup ## install pycolmap, through PyPI, and ffmpeg: with them jobs take photographs without cameras, and videos
@@ -52,7 +55,7 @@ gate: setup ## hold PSNR, bytes and speed of two fixed scenes to scripts/gate.js
 	@. scripts/env.sh && scripts/gate.py $(if $(UPDATE),--update)
 
 test: setup ## all tests, with a count of those that were skipped; first installs what they need, where it can
-	@. scripts/test_tools.sh; scripts/test.sh
+	@. scripts/test_tools.sh; scripts/web.sh; scripts/test.sh
 
 examples: setup ## run the documented session with curl and the client in Python against a service
 	@$(CARGO) test --locked --test it examples::

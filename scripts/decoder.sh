@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # Checks that the decoder stands without the service: builds a program of it alone, for this machine and for WebAssembly, and decodes
-# the golden files with both. Packages this crate and that of the renderer, as a registry would have them, and builds the renderer for
-# WebAssembly too.
+# the golden files with both. Packages this crate and that of the renderer, as a registry would have them. scripts/web.sh builds the
+# renderer for WebAssembly.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 # shellcheck source=scripts/env.sh
@@ -42,7 +42,6 @@ lacks() {
 
 scripts/wasm_cargo.sh --has || lacks 'there is no compiler for it (scripts/setup.sh --for-tests installs one)'
 wasm() { scripts/wasm_cargo.sh "$@" --locked --quiet --target-dir "$build"; }
-wasm check --package tcgs-render
 wasm build --lib --manifest-path examples/embed/Cargo.toml
 command -v node >/dev/null || lacks 'node is not installed'
 node examples/embed/decode.mjs "$build/$target/debug/tcgs_wasm.wasm" tests/golden/*.tcgs

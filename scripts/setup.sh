@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # Installs what a fresh Debian-like machine lacks to build, test and run: a C compiler, curl, the Vulkan loader with
-# Mesa's software driver (lavapipe), and a Rust toolchain. Does nothing, silently, if all is present.
+# Mesa's software driver (lavapipe), and a Rust toolchain, with its target for WebAssembly. Does nothing, silently, if all is present.
 #   scripts/setup.sh [--for-videos]   also ffmpeg, which reads videos
 #   scripts/setup.sh [--for-tests]    also programs that single tests need, or are skipped: Chromium, npm, systemd-analyze,
 #                                     PostgreSQL, Rust's WebAssembly target
@@ -154,9 +154,18 @@ install_rust() {
     fi
 }
 
+# For the viewer in browsers; without it, pages show pictures of the service.
+install_web() {
+    scripts/wasm_cargo.sh --has && return 0
+    command -v rustup >/dev/null || return 0
+    say "installing Rust's target for WebAssembly"
+    rustup target add wasm32-unknown-unknown >&2 || say 'it cannot be had here; tcgs is built without its viewer for browsers'
+}
+
 install_basics
 install_vulkan
 install_rust
+install_web
 case ${1:-} in
 --for-tests)
     install_for_tests

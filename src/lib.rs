@@ -13,6 +13,7 @@ pub mod engine;
 pub mod http;
 pub mod https;
 pub mod store;
+pub mod viewer_page;
 pub mod viewers;
 pub mod webhooks;
 pub mod worker;

@@ -10,7 +10,9 @@ use tcgs::{
     export::world::Origin,
 };
 
-use super::{CliError, Report, adapter::AdapterFlag, files, notice::notice, reading::LENIENT, wiring};
+use super::{
+    CliError, Report, adapter::AdapterFlag, export_page, files, notice::notice, reading::LENIENT, wiring,
+};
 
 /// The formats that other programs read.
 const FORMATS: [SceneFormat; 3] = [SceneFormat::Ply, SceneFormat::Spz, SceneFormat::Spz3];
@@ -111,6 +113,10 @@ struct Source {
 
 /// Bakes, writes, measures.
 pub(crate) fn run(args: &Args) -> Result<Report, CliError> {
+    if args.output.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("html")) {
+        let dataset = args.dataset.as_deref().map(|path| wiring::load_as(path, &LENIENT)).transpose()?;
+        return export_page::run(&args.file, &args.output, dataset.as_ref());
+    }
     let format = match args.format {
         Some(format) => format,
         None => format_of(&args.output)?,

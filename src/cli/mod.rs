@@ -20,6 +20,7 @@ mod error;
 mod estimate;
 mod eval;
 mod export;
+mod export_page;
 mod files;
 mod inspect;
 mod json_lines;

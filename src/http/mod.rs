@@ -28,6 +28,7 @@ mod state;
 mod uploads;
 mod usage;
 mod viewer;
+mod viewer_page;
 mod views;
 mod webhooks;
 
@@ -94,6 +95,7 @@ fn routes(state: AppState, more: Router<AppState>) -> Router {
             get(views::sequence::animation).post(views::sequence::animation_path),
         )
         .route("/v1/jobs/{id}/report", get(report::get))
+        .route("/v1/jobs/{id}/viewer", get(viewer_page::page))
         .route("/v1/datasets", get(datasets::list).post(datasets::create::create))
         .route("/v1/datasets/{id}", get(datasets::get).delete(datasets::delete))
         .route("/v1/scenes", get(datasets::list).post(datasets::create::create))
@@ -112,6 +114,8 @@ fn routes(state: AppState, more: Router<AppState>) -> Router {
         .route("/readyz", get(server::readiness::readyz))
         .route("/version", get(server::health::version))
         .route("/openapi.yaml", get(server::health::openapi))
+        .route("/viewer/worker.js", get(viewer_page::worker))
+        .route("/viewer/module.wasm", get(viewer_page::module))
         .layer(from_fn_with_state(state.clone(), auth::authenticate))
         .layer(CatchPanicLayer::custom(server::middleware::panicked))
         .layer(from_fn(server::head::bounded))

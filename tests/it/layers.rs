@@ -25,7 +25,21 @@ const LAYERS: &[(&str, Layers)] = &[
             ("https", &[]),
             ("webhooks", &["domain", "store", "https"]),
             ("viewers", &["domain", "ingest", "engine", "store", "render", "https"]),
-            ("http", &["domain", "codec", "engine", "store", "render", "viewers", "plot", "picture"]),
+            ("viewer_page", &["domain"]),
+            (
+                "http",
+                &[
+                    "domain",
+                    "codec",
+                    "engine",
+                    "store",
+                    "render",
+                    "viewers",
+                    "plot",
+                    "picture",
+                    "viewer_page",
+                ],
+            ),
         ],
     ),
     (
@@ -81,7 +95,7 @@ const EXTERNAL: &[(&str, &[&str])] = &[
     ("jpeg_encoder", &["picture"]),
     ("crc32fast", &["picture"]),
     ("ndarray", &["lpips"]),
-    ("flate2", &["export"]),
+    ("flate2", &["export", "viewer_page"]),
     ("zstd", &["export"]),
     ("toml", &["cli", "report"]),
     ("fs4", &["store"]),
@@ -119,6 +133,7 @@ fn crates() -> Vec<(&'static str, PathBuf)> {
         member("tcgs_render"),
         member("tcgs_engine"),
         member("tcgs_lab"),
+        member("tcgs_web"),
     ]
 }
 

@@ -37,6 +37,7 @@ const OPERATIONS: &[(&str, &str, Access)] = &[
     ("GET", "/v1/jobs/{id}/animation", Needs(Read)),
     ("POST", "/v1/jobs/{id}/animation", Needs(Read)),
     ("GET", "/v1/jobs/{id}/report", Needs(Read)),
+    ("GET", "/v1/jobs/{id}/viewer", Needs(Read)),
     ("POST", "/v1/datasets", Needs(DatasetsWrite)),
     ("GET", "/v1/datasets", Needs(Read)),
     ("GET", "/v1/datasets/{id}", Needs(Read)),
@@ -72,6 +73,8 @@ const OPERATIONS: &[(&str, &str, Access)] = &[
     ("GET", "/metrics", Needs(Admin)),
     ("GET", "/version", Open),
     ("GET", "/openapi.yaml", Open),
+    ("GET", "/viewer/worker.js", Open),
+    ("GET", "/viewer/module.wasm", Open),
 ];
 
 /// The access that an operation requires; `None` if there is no such operation. `HEAD` is `GET` unless it has a row of its own.

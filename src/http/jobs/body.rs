@@ -35,6 +35,7 @@ pub(crate) fn job(record: &JobRecord) -> Value {
         "stream": format!("{this}/stream"),
         "animation": format!("{this}/animation"),
         "report": format!("{this}/report"),
+        "viewer": format!("{this}/viewer"),
     });
     json!({
         "id": job.id,

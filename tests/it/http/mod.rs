@@ -22,6 +22,7 @@ mod sequences;
 mod series;
 mod service;
 mod uploads;
+mod viewer_page;
 mod views;
 mod webhooks;
 
@@ -166,6 +167,11 @@ scenarios! {
         a_finished_job_is_reported_on_one_page,
         a_curve_is_reported_with_each_of_its_files,
         a_job_without_a_result_is_reported_as_it_stands,
+    }
+    viewer_page {
+        the_page_of_a_job_has_its_cameras_and_its_own_policy,
+        a_job_without_a_file_has_no_page_yet,
+        the_module_comes_compressed_to_those_who_take_it_so,
     }
     views {
         views_by_frame_pose_and_query_agree,

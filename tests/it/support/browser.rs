@@ -41,13 +41,19 @@ pub struct Page {
 }
 
 impl Page {
-    /// Starts `program` and opens `url`.
+    /// Starts `program`, without a GPU, and opens `url`.
     pub async fn open(program: &str, url: &str) -> Self {
+        Self::open_with(program, &["--disable-gpu"], url).await
+    }
+
+    /// As [`Page::open`], with flags of the browser.
+    pub async fn open_with(program: &str, flags: &[&str], url: &str) -> Self {
         let profile = tempfile::tempdir().expect("a folder");
         // It reads commands at 3 and answers at 4, with a zero byte behind each.
         let mut command = Command::new("sh");
         command.args(["-c", r#"exec "$@" 3<&0 4>&1 </dev/null >/dev/null"#, "sh", program]);
-        command.args(["--headless", "--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage"]);
+        command.args(["--headless", "--no-sandbox", "--disable-dev-shm-usage"]);
+        command.args(flags);
         command.args(["--no-first-run", "--remote-debugging-pipe"]);
         command.arg(format!("--user-data-dir={}", profile.path().display()));
         command.stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::null()).kill_on_drop(true);
@@ -149,6 +155,13 @@ impl Page {
             self.ask("Input.dispatchKeyEvent", json!({ "type": what, "key": name, "code": name })).await;
         }
     }
+
+    /// Gives the page a window of this size.
+    pub async fn resize(&mut self, width: u32, height: u32) {
+        let metrics = json!({ "width": width, "height": height, "deviceScaleFactor": 1, "mobile": false });
+        self.ask("Emulation.setDeviceMetricsOverride", metrics).await;
+    }
+
     /// Takes the page for a phone's, with fingers.
     pub async fn be_a_phone(&mut self) {
         let metrics = json!({ "width": 390, "height": 844, "deviceScaleFactor": 2, "mobile": true });

@@ -25,4 +25,5 @@ mod reordered;
 mod soak;
 mod upgrade;
 mod viewer;
+mod viewer_page;
 mod viewers;

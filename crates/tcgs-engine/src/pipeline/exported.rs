@@ -290,7 +290,11 @@ fn different() -> Problem {
     Problem::new(ProblemType::Internal, "two pictures of one view differ in size")
 }
 
-fn sphere(file: &SceneFile, count: usize) -> Result<Vec<Camera>, Problem> {
+/// Cameras on a sphere around a scene, in the world.
+///
+/// # Errors
+/// A problem of type `not-exportable` for a scene without extent.
+pub fn sphere(file: &SceneFile, count: usize) -> Result<Vec<Camera>, Problem> {
     sphere_of(&file.scene, count)
 }
 

@@ -1,0 +1,184 @@
+//! `GET /v1/jobs/{id}/viewer`: a page that decodes and draws a job's scene in the browser, and the module that it does that with.
+
+use std::sync::LazyLock;
+
+use axum::{
+    extract::State,
+    http::{HeaderMap, HeaderName, HeaderValue, header},
+    response::{IntoResponse as _, Response},
+};
+use serde::de::DeserializeOwned;
+
+use super::{
+    jobs::OwnedJob,
+    problem::{Answer as _, ApiResult, ProblemResponse},
+    request::{Etag, Parameters, accepts, not_modified},
+    state::AppState,
+};
+use crate::{
+    domain::{Digest, HeldOut, NamedCamera, Orbit, ProblemType, SceneFormat, Split},
+    store::{ArtifactKind, JobRecord},
+    viewer_page::{Assets, FileLink, Links, Stop, ViewerScene, assets, served, served_policy},
+};
+
+/// From the page's folder to the service's first.
+const ROOT: &str = "../../..";
+
+static POLICY: LazyLock<Option<HeaderValue>> = LazyLock::new(|| HeaderValue::try_from(served_policy()).ok());
+
+/// Differs between programs with other pages or modules.
+static BUILD: LazyLock<String> = LazyLock::new(|| {
+    let Assets { module, worker } = assets().unwrap_or(Assets { module: &[], worker: "" });
+    let page = [served_policy().as_bytes(), worker.as_bytes(), module].concat();
+    Digest::of(&page).to_string()[..16].to_owned()
+});
+
+/// `GET /v1/jobs/{id}/viewer`.
+pub(super) async fn page(
+    State(state): State<AppState>,
+    OwnedJob(record): OwnedJob,
+    parameters: Parameters,
+    headers: HeaderMap,
+) -> ApiResult {
+    parameters.finish()?;
+    if !accepts(&headers, "text/html") {
+        return Err(ProblemType::NotAcceptable.because("this page is served as text/html"));
+    }
+    let etag = Etag::new(format!("{}-{}-viewer", record.job.version, *BUILD));
+    if etag.is_in_if_none_match(&headers) {
+        return Ok(not_modified(&etag));
+    }
+    let file = super::files::file_of(&record, None)?;
+    let cameras: Vec<NamedCamera> =
+        document(&state, &record, ArtifactKind::Cameras).await?.unwrap_or_default();
+    let held_out: Option<HeldOut> = document(&state, &record, ArtifactKind::HeldOut).await?;
+    let scene = ViewerScene {
+        links: Some(links(file.format, file.blob.bytes)),
+        ..scene_of(&record, &cameras, held_out)?
+    };
+    let policy = POLICY.clone().ok_or_else(super::problem::internal)?;
+    let mut response = served(&scene).into_response();
+    let answer = response.headers_mut();
+    for (name, value) in [
+        (header::CONTENT_TYPE, HeaderValue::from_static("text/html; charset=utf-8")),
+        (header::CONTENT_SECURITY_POLICY, policy),
+        (header::CACHE_CONTROL, HeaderValue::from_static("private, no-cache")),
+        (header::ETAG, etag.value()),
+        (header::REFERRER_POLICY, HeaderValue::from_static("no-referrer")),
+        (HeaderName::from_static("cross-origin-resource-policy"), HeaderValue::from_static("same-origin")),
+    ] {
+        answer.insert(name, value);
+    }
+    Ok(response)
+}
+
+/// `GET /viewer/worker.js`.
+pub(super) async fn worker(headers: HeaderMap) -> ApiResult {
+    let Assets { worker, .. } = built()?;
+    let etag = Etag::new(format!("{}-worker", *BUILD));
+    if etag.is_in_if_none_match(&headers) {
+        return Ok(not_modified(&etag));
+    }
+    let mut response = worker.into_response();
+    // What the worker may do: compile its module.
+    let policy = HeaderValue::from_static("default-src 'none'; script-src 'wasm-unsafe-eval'");
+    response.headers_mut().insert(header::CONTENT_SECURITY_POLICY, policy);
+    Ok(asset(response, "text/javascript; charset=utf-8", &etag))
+}
+
+/// `GET /viewer/module.wasm`, as it is stored for clients that accept gzip.
+pub(super) async fn module(headers: HeaderMap) -> ApiResult {
+    let assets = built()?;
+    let is_packed = accepts_gzip(&headers);
+    let etag = Etag::new(format!("{}-module{}", *BUILD, if is_packed { "-gzip" } else { "" }));
+    if etag.is_in_if_none_match(&headers) {
+        return Ok(not_modified(&etag));
+    }
+    let mut response = if is_packed {
+        let mut response = assets.module.into_response();
+        response.headers_mut().insert(header::CONTENT_ENCODING, HeaderValue::from_static("gzip"));
+        response
+    } else {
+        assets.unpacked().map_err(|error| ProblemResponse::internal(&error))?.into_response()
+    };
+    response.headers_mut().insert(header::VARY, HeaderValue::from_static("accept-encoding"));
+    Ok(asset(response, "application/wasm", &etag))
+}
+
+fn asset(mut response: Response, media_type: &'static str, etag: &Etag) -> Response {
+    let headers = response.headers_mut();
+    headers.insert(header::CONTENT_TYPE, HeaderValue::from_static(media_type));
+    headers.insert(header::CACHE_CONTROL, HeaderValue::from_static("public, no-cache"));
+    headers.insert(header::ETAG, etag.value());
+    response
+}
+
+fn built() -> ApiResult<Assets> {
+    assets().ok_or_else(|| {
+        ProblemType::NotFound.because(
+            "this program was built without the viewer for browsers; scripts/web.sh builds it before cargo does",
+        )
+    })
+}
+
+/// Whether a client takes gzip: it names it, and not with weight 0.
+fn accepts_gzip(headers: &HeaderMap) -> bool {
+    let values = headers.get_all(header::ACCEPT_ENCODING).iter().filter_map(|value| value.to_str().ok());
+    values.flat_map(|value| value.split(',')).any(|coding| {
+        let mut parts = coding.split(';').map(str::trim);
+        let is_gzip = parts.next().is_some_and(|name| name.eq_ignore_ascii_case("gzip"));
+        let weight = parts.find_map(|part| part.strip_prefix("q=")).map_or(Ok(1.0), str::parse::<f32>);
+        is_gzip && weight.is_ok_and(|weight| weight > 0.0)
+    })
+}
+
+/// What the page shows of a job.
+fn scene_of(
+    record: &JobRecord,
+    cameras: &[NamedCamera],
+    held_out: Option<HeldOut>,
+) -> ApiResult<ViewerScene> {
+    let views = held_out.map(|sheet| sheet.views).unwrap_or_default();
+    let photograph =
+        |name: &str| views.iter().find(|view| view.score.name == name).map(|view| view.photograph.clone());
+    let stop = |named: &NamedCamera| Stop::new(named.name.clone(), &named.camera, photograph(&named.name));
+    // Held-out cameras first: those may have photographs.
+    let of = |split: Split| cameras.iter().filter(move |named| named.split == split).map(stop);
+    let stops: Vec<Stop> = of(Split::Test).chain(of(Split::Train)).collect();
+    let all: Vec<_> = cameras.iter().map(|named| named.camera).collect();
+    let Some(orbit) = Orbit::around(&all) else {
+        return Err(
+            ProblemType::NotFound.because("this job kept no cameras, and the page needs one to begin with")
+        );
+    };
+    let title = record.name.clone().unwrap_or_else(|| format!("Scene {}", record.job.id));
+    Ok(ViewerScene { title, stops, center: orbit.center, up: orbit.up, links: None })
+}
+
+/// Where the page finds the rest.
+fn links(format: SceneFormat, bytes: u64) -> Links {
+    let why = match (format, assets()) {
+        (SceneFormat::Tcgs, Some(_)) => None,
+        (SceneFormat::Tcgs, None) => Some("This service was built without the viewer for browsers."),
+        _ => Some("Browsers draw .tcgs files only."),
+    };
+    Links {
+        file: why.is_none().then(|| FileLink { href: "artifact".to_owned(), bytes }),
+        why: why.map(str::to_owned),
+        module: format!("{ROOT}/viewer/module.wasm"),
+        worker: format!("{ROOT}/viewer/worker.js"),
+        view: "view".to_owned(),
+        report: "report".to_owned(),
+    }
+}
+
+/// The content of a JSON artifact, if the job has one of this kind.
+async fn document<T: DeserializeOwned>(
+    state: &AppState,
+    record: &JobRecord,
+    kind: ArtifactKind,
+) -> ApiResult<Option<T>> {
+    let Some(blob) = record.artifact(kind) else { return Ok(None) };
+    let content = state.blobs().read(blob.digest).await?;
+    serde_json::from_slice(&content).map(Some).map_err(|error| ProblemResponse::internal(&error))
+}

@@ -1,0 +1,167 @@
+//! The page that shows a scene, in a real browser: it decodes the file and draws it as this machine does, and without WebGPU the service
+//! draws. Chromium has WebGPU here by SwiftShader, on the processor.
+
+use std::fs;
+
+use base64::{Engine as _, engine::general_purpose::STANDARD};
+use serde_json::{Value, json};
+use tcgs::{codec, viewer_page::assets};
+
+use crate::support::{
+    browser::{self, Page},
+    contract::Coverage,
+    program,
+    server::Server,
+    skip::skip,
+};
+
+/// WebGPU without a GPU, and a compositor that takes its pictures.
+const WEBGPU: [&str; 8] = [
+    "--enable-unsafe-webgpu",
+    "--use-webgpu-adapter=swiftshader",
+    "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
+    "--enable-features=Vulkan",
+    "--use-vulkan=swiftshader",
+    "--ignore-gpu-blocklist",
+    "--disable-vulkan-surface",
+];
+
+/// How the page shows the scene, once it has; its last line if it cannot.
+const SHOWN: &str = "(() => {
+    const { mode, frames } = document.getElementById('stage').dataset;
+    return frames ? mode : null;
+})()";
+
+/// The picture that a press of the button saves, as a PNG in base64.
+const SAVED: &str = "(async () => {
+    const saved = new Promise(done => {
+        const address = URL.createObjectURL;
+        URL.createObjectURL = blob => { done(blob); return address.call(URL, blob); };
+        HTMLAnchorElement.prototype.click = () => {};
+    });
+    document.getElementById('shot').click();
+    const bytes = new Uint8Array(await (await saved).arrayBuffer());
+    return btoa(bytes.reduce((text, byte) => text + String.fromCharCode(byte), ''));
+})()";
+
+/// The camera of the page's first stop for a picture of its size.
+const CAMERA: &str = "(() => {
+    const stop = JSON.parse(document.getElementById('scene').textContent).stops[0];
+    const { clientWidth: width, clientHeight: height } = document.getElementById('stage');
+    const scale = Math.min(width / stop.width, height / stop.height);
+    return JSON.stringify({
+        camera_to_world: stop.camera_to_world, fx: stop.fx * scale, fy: stop.fy * scale,
+        cx: width / 2 + (stop.cx - stop.width / 2) * scale, cy: height / 2 + (stop.cy - stop.height / 2) * scale, width, height,
+    });
+})()";
+
+/// Pixels of a picture of which at most this part may differ by more than one level.
+const TOLERATED: f64 = 0.001;
+
+fn tcgs(arguments: &[&str]) {
+    let mut command = program::command();
+    let output = command.args(arguments).output().expect("the program");
+    assert!(output.status.success(), "{arguments:?}: {}", String::from_utf8_lossy(&output.stderr));
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_page_from_a_disk_decodes_and_draws_the_scene_as_this_machine_does() {
+    let Some(program) = browser::find() else { return skip("Chromium is not installed") };
+    if assets().is_none() {
+        return skip("the viewer for browsers was not built: scripts/web.sh does, before the program");
+    }
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = |name: &str| folder.path().join(name).display().to_string();
+    let file = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/golden/trained_v1.tcgs");
+    tcgs(&["export", file, "--output", &path("scene.html")]);
+    let size = fs::metadata(path("scene.html")).expect("a page").len();
+    assert!(size < 3 << 20, "{size} bytes, of which the module in base64 may have two thirds of 3 MiB");
+
+    let mut page = Page::open_with(program, &WEBGPU, &format!("file://{}", path("scene.html"))).await;
+    page.resize(256, 192).await;
+    page.until(SHOWN, |shown| *shown == "webgpu").await;
+    let decoded = codec::decode(&fs::read(file).expect("a file"), &codec::DecodeLimits::default());
+    let digest = decoded.expect("a scene").decode_sha256.to_string();
+    assert_eq!(page.evaluate("document.getElementById('stage').dataset.digest").await, json!(digest));
+
+    let camera = page.evaluate(CAMERA).await;
+    fs::write(path("camera.json"), camera.as_str().expect("a camera")).expect("written");
+    tcgs(&["render", file, "--pose", &path("camera.json"), "--output", &path("native.png")]);
+    let saved = page.evaluate(SAVED).await;
+    let saved = STANDARD.decode(saved.as_str().expect("a picture")).expect("base64");
+    let there = image::load_from_memory(&saved).expect("a PNG").to_rgb8();
+    let here = image::open(path("native.png")).expect("a PNG").to_rgb8();
+    assert_eq!(there.dimensions(), here.dimensions());
+    let far =
+        |(a, b): &(&image::Rgb<u8>, &image::Rgb<u8>)| a.0.iter().zip(b.0).any(|(a, b)| a.abs_diff(b) > 1);
+    let different = there.pixels().zip(here.pixels()).filter(far).count() as f64;
+    let pixels = f64::from(here.width() * here.height());
+    assert!(different <= TOLERATED * pixels, "{different} of {pixels} pixels differ");
+    let background = here.get_pixel(0, 0);
+    assert!(here.pixels().any(|pixel| pixel != background), "the scene is in the picture");
+
+    // It turns, and shows depths.
+    let frames = page.evaluate("Number(document.getElementById('stage').dataset.frames)").await;
+    page.evaluate("document.getElementById('stage').focus()").await;
+    page.key("ArrowLeft").await;
+    let more = |now: &Value| now.as_f64() > frames.as_f64();
+    page.until("Number(document.getElementById('stage').dataset.frames)", more).await;
+    page.evaluate("document.getElementById('depth').click()").await;
+    page.until("document.getElementById('line').textContent.includes('depths')", |told| *told == true).await;
+    assert_eq!(page.faults, Vec::<String>::new());
+    let requests: Vec<_> = page.requests.iter().filter(|url| url.starts_with("http")).collect();
+    assert!(requests.is_empty(), "{requests:?}");
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn without_webgpu_the_service_draws_the_page_s_pictures() {
+    let Some(program) = browser::find() else { return skip("Chromium is not installed") };
+    let server = Server::start(&Coverage::default()).await;
+    let job = server.succeeded().await;
+    let mut page = Page::open(program, &format!("http://{}{job}/viewer", server.address)).await;
+    page.until(SHOWN, |shown| *shown == "service").await;
+    let line = "document.getElementById('line').textContent";
+    page.until(line, |told| {
+        told.as_str().is_some_and(|told| told.ends_with("The service draws the pictures."))
+    })
+    .await;
+
+    let source = "document.getElementById('picture').src";
+    let first = page.evaluate(source).await;
+    for (name, by) in [("ArrowLeft", "turned"), ("+", "nearer"), (".", "at the next camera")] {
+        let before = page.evaluate(source).await;
+        page.evaluate("document.getElementById('stage').focus()").await;
+        page.key(name).await;
+        page.until(source, |now| *now != before).await;
+        assert!(first != page.evaluate(source).await, "{by}");
+    }
+    assert_eq!(page.faults, Vec::<String>::new());
+    let origin = format!("http://{}", server.address);
+    let own = |url: &String| ["data:", "blob:", &origin].iter().any(|begin| url.starts_with(begin));
+    assert!(page.requests.iter().all(own), "{:?}", page.requests);
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn on_a_phone_the_page_fits_and_fingers_come_nearer() {
+    let Some(program) = browser::find() else { return skip("Chromium is not installed") };
+    let server = Server::start(&Coverage::default()).await;
+    let job = server.succeeded().await;
+    let mut page = Page::open(program, &format!("http://{}{job}/viewer", server.address)).await;
+    page.be_a_phone().await;
+    page.until(SHOWN, |shown| *shown == "service").await;
+    let wide = "[...document.body.querySelectorAll('*')].filter(e => e.getBoundingClientRect().right > 391).map(e => e.tagName)";
+    assert_eq!(page.evaluate(wide).await, Value::Array(Vec::new()));
+    let asked = page.requests.len();
+    let frames = "Number(document.getElementById('stage').dataset.frames)";
+    let before = page.evaluate(frames).await;
+    page.touch("touchStart", &[(185.0, 400.0), (205.0, 400.0)]).await;
+    for step in 1..=8 {
+        let apart = 10.0 + 5.0 * f64::from(step);
+        page.touch("touchMove", &[(195.0 - apart, 400.0), (195.0 + apart, 400.0)]).await;
+    }
+    page.touch("touchEnd", &[]).await;
+    page.until(frames, |now| now.as_f64() > before.as_f64()).await;
+    assert!(page.requests.len() > asked);
+    assert_eq!(page.faults, Vec::<String>::new());
+}
