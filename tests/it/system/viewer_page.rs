@@ -11,7 +11,7 @@ use crate::support::{
     browser::{self, Page},
     contract::Coverage,
     program,
-    server::Server,
+    server::{Server, picture},
     skip::skip,
 };
 
@@ -90,8 +90,8 @@ async fn a_page_from_a_disk_decodes_and_draws_the_scene_as_this_machine_does() {
     tcgs(&["render", file, "--pose", &path("camera.json"), "--output", &path("native.png")]);
     let saved = page.evaluate(SAVED).await;
     let saved = STANDARD.decode(saved.as_str().expect("a picture")).expect("base64");
-    let there = image::load_from_memory(&saved).expect("a PNG").to_rgb8();
-    let here = image::open(path("native.png")).expect("a PNG").to_rgb8();
+    let there = picture(&saved).to_rgb8();
+    let here = picture(&fs::read(path("native.png")).expect("a PNG")).to_rgb8();
     assert_eq!(there.dimensions(), here.dimensions());
     let far =
         |(a, b): &(&image::Rgb<u8>, &image::Rgb<u8>)| a.0.iter().zip(b.0).any(|(a, b)| a.abs_diff(b) > 1);
