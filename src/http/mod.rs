@@ -86,6 +86,7 @@ fn routes(state: AppState, more: Router<AppState>) -> Router {
         .route("/v1/jobs/{id}/artifacts", get(files::list))
         .route("/v1/jobs/{id}/export", get(files::exports::get))
         .route("/v1/artifacts/{sha256}", get(files::by_hash))
+        .route("/v1/jobs/{id}/cameras", get(views::cameras::get))
         .route("/v1/jobs/{id}/view", get(views::get))
         .route("/v1/jobs/{id}/views", post(views::post))
         .route("/v1/jobs/{id}/stream", get(views::sequence::stream))

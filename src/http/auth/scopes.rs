@@ -31,6 +31,7 @@ const OPERATIONS: &[(&str, &str, Access)] = &[
     ("GET", "/v1/jobs/{id}/artifacts", Needs(Read)),
     ("GET", "/v1/jobs/{id}/export", Needs(Read)),
     ("GET", "/v1/artifacts/{sha256}", Needs(Read)),
+    ("GET", "/v1/jobs/{id}/cameras", Needs(Read)),
     ("GET", "/v1/jobs/{id}/view", Needs(Read)),
     ("POST", "/v1/jobs/{id}/views", Needs(Read)),
     ("GET", "/v1/jobs/{id}/stream", Needs(Read)),

@@ -30,6 +30,7 @@ pub(crate) fn job(record: &JobRecord) -> Value {
         "artifact": format!("{this}/artifact"),
         "artifacts": format!("{this}/artifacts"),
         "export": format!("{this}/export"),
+        "cameras": format!("{this}/cameras"),
         "view": format!("{this}/view"),
         "views": format!("{this}/views"),
         "stream": format!("{this}/stream"),

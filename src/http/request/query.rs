@@ -3,7 +3,6 @@
 use std::str::FromStr;
 
 use axum::{extract::FromRequestParts, http::request::Parts};
-use glam::{DQuat, DVec3, DVec4};
 
 use crate::http::problem::{ApiResult, ProblemResponse};
 
@@ -64,22 +63,12 @@ impl Parameters {
         Ok(count)
     }
 
-    /// Three numbers separated by commas.
-    pub(crate) fn take_vector(&mut self, name: &str) -> ApiResult<Option<DVec3>> {
-        Ok(self.take_numbers(name, "three finite numbers x,y,z")?.map(DVec3::from_array))
-    }
-
-    /// Four numbers w,x,y,z separated by commas, made one of length 1.
-    pub(crate) fn take_quaternion(&mut self, name: &str) -> ApiResult<Option<DQuat>> {
-        let Some([w, x, y, z]) = self.take_numbers(name, "four finite numbers w,x,y,z")? else {
-            return Ok(None);
-        };
-        let direction = DVec4::new(x, y, z, w).try_normalize();
-        let direction = direction.ok_or_else(|| ProblemResponse::parameter(name, "has no length"))?;
-        Ok(Some(DQuat::from_vec4(direction)))
-    }
-
-    fn take_numbers<const N: usize>(&mut self, name: &str, expected: &str) -> ApiResult<Option<[f64; N]>> {
+    /// `N` finite numbers separated by commas.
+    pub(crate) fn take_numbers<const N: usize>(
+        &mut self,
+        name: &str,
+        expected: &str,
+    ) -> ApiResult<Option<[f64; N]>> {
         let Some(text) = self.take(name) else { return Ok(None) };
         let numbers: Option<Vec<f64>> = text.split(',').map(|number| number.trim().parse().ok()).collect();
         let numbers = numbers.and_then(|numbers| <[f64; N]>::try_from(numbers).ok());

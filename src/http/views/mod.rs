@@ -1,6 +1,8 @@
-//! Rendered views of a finished job's scene: one or several here, streams and animations in [`sequence`].
+//! Rendered views of a finished job's scene: one or several here, streams and animations in [`sequence`]; and the
+//! cameras of its dataset.
 
 mod camera;
+pub(super) mod cameras;
 mod frame_stream;
 pub(super) mod sequence;
 
@@ -30,7 +32,7 @@ use super::{
 };
 use crate::{
     domain::{Caller, Camera, NamedCamera, ProblemType, ViewRequest},
-    store::{ArtifactKind, JobRecord},
+    store::{ArtifactKind, BlobRef, JobRecord},
 };
 
 const SERVER_TIMING: HeaderName = HeaderName::from_static("server-timing");
@@ -181,10 +183,14 @@ async fn cameras(state: &AppState, record: &JobRecord, specs: Vec<CameraSpec>) -
     specs.into_iter().map(|spec| spec.resolve(&named)).collect()
 }
 
-async fn dataset_cameras(state: &AppState, record: &JobRecord) -> ApiResult<Vec<NamedCamera>> {
+/// The artifact with the dataset's cameras.
+fn cameras_blob(record: &JobRecord) -> ApiResult<BlobRef> {
     let error = || ProblemResponse::no_file_yet(record.job.id, record.job.state.name());
-    let blob = record.artifact(ArtifactKind::Cameras).ok_or_else(error)?;
-    let content = state.blobs().read(blob.digest).await?;
+    record.artifact(ArtifactKind::Cameras).ok_or_else(error)
+}
+
+async fn dataset_cameras(state: &AppState, record: &JobRecord) -> ApiResult<Vec<NamedCamera>> {
+    let content = state.blobs().read(cameras_blob(record)?.digest).await?;
     serde_json::from_slice(&content).map_err(|error| ProblemResponse::internal(&error))
 }
 

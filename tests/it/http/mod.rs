@@ -169,6 +169,8 @@ scenarios! {
     }
     views {
         views_by_frame_pose_and_query_agree,
+        a_view_without_a_camera_is_that_of_the_first_held_out_one,
+        the_cameras_of_a_job_are_views_of_it,
         views_come_in_three_formats_and_as_multipart,
         depth_and_alpha_are_served_as_pictures_and_as_numbers,
         a_view_is_tagged_timed_and_rendered_once,
