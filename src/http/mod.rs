@@ -77,7 +77,7 @@ fn routes(state: AppState, more: Router<AppState>) -> Router {
         .layer(map_response(uploads::tus::stamp));
     more.route("/v1/jobs", get(jobs::list::list).post(jobs::create::create))
         .route("/v1/estimate", post(estimate::estimate))
-        .route("/v1/jobs/{id}", get(jobs::get).delete(jobs::actions::delete))
+        .route("/v1/jobs/{id}", get(jobs::get).patch(jobs::change::change).delete(jobs::actions::delete))
         .route("/v1/jobs/{id}/cancel", post(jobs::actions::cancel))
         .route("/v1/jobs/{id}/retry", post(jobs::actions::retry))
         .route("/v1/jobs/{id}/events", get(jobs::events::list))

@@ -334,10 +334,41 @@ pub struct RetryRequest {
     pub key: Option<KeyId>,
     /// As in [`NewJob::from_checkpoint`].
     pub from_checkpoint: bool,
+    /// Other options than those of the job.
+    pub options: Option<TrainOptions>,
+    /// Another name and other labels than those of the job.
+    pub change: JobChange,
     /// As in [`NewJob::deadline_at`].
     pub deadline_at: Option<Timestamp>,
     /// As in [`NewJob::intent`].
     pub intent: Option<IdempotentRequest>,
+}
+
+impl RetryRequest {
+    /// A retry as the job was, without key and deadline, from its checkpoint.
+    #[must_use]
+    pub fn of(id: JobId) -> Self {
+        let change = JobChange::default();
+        Self { id, key: None, from_checkpoint: true, options: None, change, deadline_at: None, intent: None }
+    }
+}
+
+/// A change of what a job's user calls it; `None` leaves a field as it is.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct JobChange {
+    /// As in [`NewJob::name`].
+    pub name: Option<Option<String>>,
+    /// As in [`NewJob::metadata`].
+    pub metadata: Option<Metadata>,
+}
+
+/// Result of a request to change a job.
+#[derive(Debug, Clone, PartialEq)]
+pub enum JobUpdate {
+    /// The job as it is now.
+    Changed(Box<JobRecord>),
+    /// It has another version than the requested one.
+    VersionMismatch,
 }
 
 /// Result of a request to retry a job.
@@ -345,7 +376,7 @@ pub struct RetryRequest {
 pub enum RetryOutcome {
     /// The new job.
     Created(Box<JobRecord>),
-    /// The job is in this state, neither failed nor cancelled.
+    /// The job is in this state: it has not ended, or it has succeeded with these very options.
     NotRetryable(JobState),
 }
 

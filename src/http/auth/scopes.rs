@@ -22,6 +22,7 @@ const OPERATIONS: &[(&str, &str, Access)] = &[
     ("GET", "/v1/jobs", Needs(Read)),
     ("POST", "/v1/estimate", Needs(Read)),
     ("GET", "/v1/jobs/{id}", Needs(Read)),
+    ("PATCH", "/v1/jobs/{id}", Needs(JobsWrite)),
     ("DELETE", "/v1/jobs/{id}", Needs(JobsWrite)),
     ("POST", "/v1/jobs/{id}/retry", Needs(JobsWrite)),
     ("POST", "/v1/jobs/{id}/cancel", Needs(JobsWrite)),

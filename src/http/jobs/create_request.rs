@@ -72,8 +72,7 @@ impl CreateJobRequest {
         let name = name.map(|value| job_name(&field::<String>("name", value, "a string")?)).transpose()?;
         let metadata = object.remove("metadata").filter(|value| !value.is_null());
         let metadata = metadata.map(|value| {
-            let labels: BTreeMap<String, String> = field("metadata", value, "an object of strings")?;
-            Metadata::try_from(labels).map_err(|error| ProblemResponse::parameter("metadata", error))
+            job_labels(field("metadata", value, "an object of strings")?)
         });
         let metadata = metadata.transpose()?.unwrap_or_default();
         let options = options(&object)?;
@@ -88,13 +87,18 @@ impl CreateJobRequest {
         if let Some(seconds) = self.deadline_s {
             check_deadline(seconds)?;
         }
-        let seed = self.options.seed;
-        if seed > MAX_SEED {
-            let error = OptionError { option: "seed", error: format!("{seed} is outside 0..={MAX_SEED}") };
-            return Err(invalid_option(&error));
-        }
-        Ok(Self { options: self.options.validated().map_err(|error| invalid_option(&error))?, ..self })
+        Ok(Self { options: checked_options(self.options)?, ..self })
     }
+}
+
+/// Options that may be those of a job.
+fn checked_options(options: TrainOptions) -> ApiResult<TrainOptions> {
+    let seed = options.seed;
+    if seed > MAX_SEED {
+        let error = OptionError { option: "seed", error: format!("{seed} is outside 0..={MAX_SEED}") };
+        return Err(invalid_option(&error));
+    }
+    options.validated().map_err(|error| invalid_option(&error))
 }
 
 /// The name of a job.
@@ -105,8 +109,30 @@ fn job_name(name: &str) -> ApiResult<String> {
 
 /// Takes the labels of a query string, `metadata[KEY]=VALUE` each.
 pub(super) fn labels(parameters: &mut Parameters) -> ApiResult<Metadata> {
-    let labels: BTreeMap<String, String> = parameters.take_map("metadata").into_iter().collect();
+    job_labels(parameters.take_map("metadata").into_iter().collect())
+}
+
+/// Labels of a job.
+pub(super) fn job_labels(labels: BTreeMap<String, String>) -> ApiResult<Metadata> {
     Metadata::try_from(labels).map_err(|error| ProblemResponse::parameter("metadata", error))
+}
+
+/// A job's name, if it is to have one.
+pub(super) fn given_name(name: Option<String>) -> ApiResult<Option<String>> {
+    name.map(|name| job_name(&name)).transpose()
+}
+
+/// The options of a job with the changes that an object states.
+pub(super) fn changed_options(before: &TrainOptions, changes: Map<String, Value>) -> ApiResult<TrainOptions> {
+    let whole = serde_json::to_value(before).map_err(|error| ProblemResponse::internal(&error))?;
+    let mut fields = match whole {
+        Value::Object(fields) => fields,
+        _ => Map::new(),
+    };
+    // Without effect, and refused in requests.
+    fields.remove("until");
+    fields.extend(changes);
+    checked_options(options(&fields)?)
 }
 
 /// The dataset that `dataset_id` and its earlier name, `scene_id`, name.
@@ -226,6 +252,26 @@ mod tests {
         let largest =
             read(json!({ "priority": MAX_PRIORITY, "deadline_s": MAX_DEADLINE })).expect("possible");
         assert_eq!((largest.priority, largest.deadline_s), (MAX_PRIORITY, Some(MAX_DEADLINE)));
+    }
+
+    #[test]
+    fn changes_leave_the_other_options_as_they_are() {
+        let before = json!({
+            "preset": "standard", "seed": 3, "lambda": 0.004, "without": ["masks"], "voxel": 0.5, "exposure": "on",
+            "plane_compression": "on", "skip_missing": true, "masks": "alpha",
+        });
+        let before = read(before).expect("possible").options;
+        let change = |changes: Value| {
+            let Value::Object(changes) = changes else { panic!("an object") };
+            changed_options(&before, changes).map_err(|error| format!("{error:?}"))
+        };
+        assert_eq!(change(json!({})), Ok(before.clone()));
+        assert_eq!(change(json!({ "lambda": 0.002 })), Ok(TrainOptions { lambda: Some(0.002), ..before.clone() }));
+        let reset = change(json!({ "lambda": null, "without": [], "seed": 0 })).expect("possible");
+        assert_eq!((reset.lambda, reset.without.len(), reset.seed), (None, 0, 0));
+        assert!(change(json!({ "model": "3dgs" })).expect_err("lambda is for tcgs").contains("lambda"));
+        assert!(change(json!({ "iteratons": 7 })).expect_err("no option").contains("iteratons: is not"));
+        assert!(change(json!({ "seed": 1_u64 << 53 })).expect_err("too large").contains("seed"));
     }
 
     #[test]

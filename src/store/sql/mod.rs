@@ -50,7 +50,7 @@ use serde_json::json;
 
 use super::{
     Artifact, AttemptRecord, BlobRef, Cancellation, ChangeKind, Changes, Claim, Claimant, Deletion,
-    Heartbeat, JobFilter, JobRecord, Lease, NewJob, Outcome, PageKey, QueuePolicy, RetryOutcome,
+    Heartbeat, JobChange, JobFilter, JobRecord, JobUpdate, Lease, NewJob, Outcome, PageKey, QueuePolicy, RetryOutcome,
     RetryRequest, StoreError, StoreFuture, WorkerDeath, leases::LeaseWatch,
 };
 use crate::domain::{
@@ -366,8 +366,19 @@ impl Store {
         })
     }
 
-    /// Queues a new job with the options of this one, which must have failed or been cancelled, for the same project; `None` if there is
-    /// no such job. Errors as in [`Store::create_job`].
+    /// Changes a job's name and labels, if it has the requested version; `None` if there is no such job.
+    pub fn change_job(
+        &self,
+        id: JobId,
+        change: JobChange,
+        version: Option<u64>,
+    ) -> StoreFuture<'_, Option<JobUpdate>> {
+        self.call("change_job")
+            .run(self.write(async move |tx, _| job_changes::change(tx, id, change, version).await))
+    }
+
+    /// Queues a new job of this one's dataset for the same project, with its options or others. It must have failed or been cancelled, or
+    /// have succeeded with other options; `None` if there is no such job. Errors as in [`Store::create_job`].
     pub fn retry_job(&self, id: JobId, request: RetryRequest) -> StoreFuture<'_, Option<RetryOutcome>> {
         self.call("retry_job").run(self.write(async move |tx, now| {
             Ok(match job_changes::retry_of(tx, id, request).await? {

@@ -109,6 +109,9 @@ scenarios! {
         jobs_are_listed_by_state_scene_and_model,
         a_job_is_given_up_at_its_deadline_begun_or_not,
         a_failed_or_cancelled_job_is_retried_as_a_new_one,
+        a_job_is_repeated_with_other_options,
+        the_name_and_labels_of_a_job_are_changed,
+        a_client_names_the_fields_that_it_wants,
         a_job_that_has_ended_is_deleted_with_its_files,
     }
     idempotency {
