@@ -62,7 +62,7 @@ pub use projects::{
 pub use publications::BlobPlace;
 pub use records::{
     Artifact, ArtifactKind, AttemptOutcome, AttemptRecord, BlobRef, Cancellation, Claim, Deletion, Heartbeat,
-    JobChange, JobFilter, JobRecord, JobUpdate, Lease, MAX_QUEUE_POSITION, NewJob, Outcome, PageKey, RemovedJobs, RetryOutcome,
+    JobChange, JobDataset, JobFilter, JobRecord, JobUpdate, Lease, MAX_QUEUE_POSITION, NewJob, Outcome, PageKey, RemovedJobs, RetryOutcome,
     RetryRequest, SHOWN_ATTEMPTS, SceneArtifact, WorkerDeath,
 };
 pub use sql::{DatabaseLocation, InvalidDatabaseUrl, PostgresUrl, SchemaChange, Store};

@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 
 use super::IdempotentRequest;
 use crate::domain::{
-    DatasetId, Digest, Job, JobId, JobMetrics, JobState, KeyId, Metadata, ModelKind, Preparation, Problem,
+    DatasetId, DatasetSummary, Digest, Job, JobId, JobMetrics, JobState, KeyId, Metadata, ModelKind, Preparation, Problem,
     ProjectId, SceneFormat, TrainOptions, named_choice,
 };
 
@@ -17,6 +17,15 @@ pub struct BlobRef {
     /// SHA-256 of its content, which is also its name.
     #[serde(rename = "sha256")]
     pub digest: Digest,
+}
+
+/// The dataset that comes as the body of a job.
+#[derive(Debug, Clone)]
+pub struct JobDataset {
+    /// Its identity, chosen by the caller, unless the project has a dataset with the same archive.
+    pub id: DatasetId,
+    /// Summary of the structure check.
+    pub summary: DatasetSummary,
 }
 
 /// A job to be queued.
@@ -33,6 +42,8 @@ pub struct NewJob {
     pub metadata: Metadata,
     /// The dataset that it trains on, if it did not come with its own archive.
     pub dataset_id: Option<DatasetId>,
+    /// The dataset that it came with, without a [`Self::dataset_id`].
+    pub own_dataset: Option<JobDataset>,
     /// The job that it retries.
     pub retry_of: Option<JobId>,
     /// When it fails if it is not finished by then.
@@ -63,6 +74,7 @@ impl NewJob {
             name: None,
             metadata: Metadata::default(),
             dataset_id: None,
+            own_dataset: None,
             retry_of: None,
             deadline_at: None,
             options,

@@ -21,8 +21,16 @@ impl<S: Sync> FromRequestParts<S> for Parameters {
 impl Parameters {
     /// Reads a query string; a name may occur once.
     pub(crate) fn parse(query: Option<&str>) -> ApiResult<Self> {
-        let pairs: Vec<(String, String)> = serde_urlencoded::from_str(query.unwrap_or_default())
-            .map_err(|error| ProblemResponse::parameter("query", error))?;
+        Self(Vec::new()).with(
+            serde_urlencoded::from_str(query.unwrap_or_default())
+                .map_err(|error| ProblemResponse::parameter("query", error))?,
+        )
+    }
+
+    /// The parameters and those of a form.
+    pub(crate) fn with(mut self, more: Vec<(String, String)>) -> ApiResult<Self> {
+        self.0.extend(more);
+        let pairs = self.0;
         for (index, (name, _)) in pairs.iter().enumerate() {
             if pairs[..index].iter().any(|(earlier, _)| earlier == name) {
                 return Err(ProblemResponse::parameter(name, "is given twice"));

@@ -1,6 +1,7 @@
 //! Changes to jobs outside of attempts: expired deadlines, retries, deletion. Each function runs within its caller's transaction.
 
 use super::{
+    datasets,
     db::{Transaction, query, values},
     locks,
     queue::{JobEnd, end_job},
@@ -116,9 +117,15 @@ pub(super) async fn remove(connection: &mut Transaction, id: JobId) -> Result<u6
         .bind(id.to_string())
         .execute(&mut *connection)
         .await?;
-    query("DELETE FROM jobs WHERE id = ? AND finished_at IS NOT NULL")
+    let dataset = query("SELECT scene FROM jobs WHERE id = ?").bind(id.to_string());
+    let dataset = dataset.fetch_optional(&mut *connection).await?;
+    let dataset = dataset.map(|row| rows::dataset_id(&row)).transpose()?.flatten();
+    let removed = query("DELETE FROM jobs WHERE id = ? AND finished_at IS NOT NULL")
         .bind(id.to_string())
-        .execute(connection)
-        .await
-        .map_err(Into::into)
+        .execute(&mut *connection)
+        .await?;
+    if let Some(dataset) = dataset {
+        datasets::remove_unused(connection, dataset).await?;
+    }
+    Ok(removed)
 }

@@ -163,6 +163,8 @@ impl Store {
             idempotency::remember(tx, intent, CREATED, &id, keep, now).await?;
         }
         locks::project(tx, new.project).await?;
+        // By the archive that was sent: another may take its place.
+        let sent = new.dataset;
         if new.needs > Preparation::None
             && let Some(posed) = queue::posed_dataset(tx, new.project, new.dataset.digest).await?
         {
@@ -186,6 +188,9 @@ impl Store {
             return Err(StoreError::NoDataset(dataset));
         }
         insert_blob(tx, new.dataset, now).await?;
+        if let Some(own) = &new.own_dataset {
+            new.dataset_id = Some(datasets::of_job(tx, new.project, sent, own, now).await?);
+        }
         query(
             "INSERT INTO jobs (id, project, owner, name, metadata, scene, retry_of, deadline_at, dataset, options, state, phase,
                  progress, priority, run_after, max_attempts, from_checkpoint, created_at, needs, photographs)

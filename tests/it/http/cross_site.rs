@@ -206,7 +206,7 @@ async fn pages_of_other_sites_change_and_read_nothing() {
         "nothing has changed"
     );
     for (path, list, count) in
-        [("/v1/jobs", "jobs", 1), ("/v1/scenes", "scenes", 0), ("/v1/webhook-endpoints", "endpoints", 0)]
+        [("/v1/jobs", "jobs", 1), ("/v1/scenes", "scenes", 1), ("/v1/webhook-endpoints", "endpoints", 0)]
     {
         let listed = service.get(path).await.expect(200).json();
         assert_eq!(listed[list].as_array().map(Vec::len), Some(count), "{path}: {listed}");

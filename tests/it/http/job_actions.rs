@@ -109,8 +109,8 @@ pub(super) async fn jobs_are_listed_by_state_scene_and_model(coverage: Coverage)
     let scene = scene(&server, "succeed").await;
     let made = |answer: crate::support::server::Answer| answer.expect(201).json()["id"].clone();
     let of_scene = made(server.post_json("/v1/jobs", &json!({ "scene_id": scene })).await);
-    let baseline = made(server.upload("?model=3dgs", "succeed").await);
-    let cancelled = made(server.upload("", "succeed").await);
+    let baseline = made(server.upload("?model=3dgs", "succeed as a baseline").await);
+    let cancelled = made(server.upload("", "succeed later").await);
     let path = format!("/v1/jobs/{}/cancel", cancelled.as_str().expect("an id"));
     server.post(&path).await.expect(200);
     let ids = |page: &Value| -> Vec<Value> {

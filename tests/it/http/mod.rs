@@ -9,6 +9,7 @@ mod estimate;
 mod events;
 mod exports;
 mod figures;
+mod forms;
 mod idempotency;
 mod job_actions;
 mod jobs;
@@ -132,6 +133,11 @@ scenarios! {
         scenes_are_listed_newest_first_page_by_page,
         a_scene_is_deleted_once_no_job_needs_it,
         scenes_of_another_key_are_not_there_and_bytes_have_a_quota,
+    }
+    forms {
+        a_dataset_comes_in_a_form_or_as_bytes,
+        what_is_wrong_with_a_form_is_said,
+        a_job_that_came_with_a_dataset_names_it,
     }
     uploads {
         a_project_has_so_many_open_uploads,

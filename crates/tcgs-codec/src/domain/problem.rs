@@ -49,6 +49,7 @@ problem_types! {
     HeadersTooLarge = 431, "headers-too-large", "Headers too large";
     UnsupportedMediaType = 415, "unsupported-media-type", "Unsupported media type";
     MalformedJson = 400, "malformed-json", "Malformed JSON";
+    MalformedForm = 400, "malformed-form", "Malformed form";
     InvalidParameter = 422, "invalid-parameter", "Invalid parameter";
     InvalidHeader = 400, "invalid-header", "Invalid header";
     DigestMismatch = 400, "digest-mismatch", "Digest mismatch";
