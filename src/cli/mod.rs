@@ -25,6 +25,7 @@ mod inspect;
 mod json_lines;
 mod keys;
 mod limits;
+mod listen;
 mod logging;
 mod lpips;
 mod memory;
@@ -49,6 +50,7 @@ mod serve;
 mod signals;
 mod storage;
 mod train;
+mod variables;
 mod view_memory;
 mod viewer;
 mod wiring;
@@ -237,6 +239,13 @@ pub(crate) fn main() -> ExitCode {
         return report::conclude(Ok(settings.printed()), false);
     }
     logging::start(cli.log_format, cli.command.verbosity());
+    if cli.command.service().is_some() {
+        for variable in variables::unread(&Cli::command()) {
+            tracing::warn!(
+                "the environment variable {variable} is none of this program; --help lists those that it reads"
+            );
+        }
+    }
     #[cfg(debug_assertions)]
     planned_failure::follow_plan();
     let json = cli.command.wants_json();
