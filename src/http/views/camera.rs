@@ -21,14 +21,16 @@ const NAMES_SHOWN: usize = 3;
 pub(crate) enum CameraSpec {
     View(View),
     /// The first to show ([`NamedCamera::first_to_show`]), at another size if one is given.
-    First { width: Option<u32>, height: Option<u32> },
+    First {
+        width: Option<u32>,
+        height: Option<u32>,
+    },
 }
 
 impl CameraSpec {
-    /// Reads `frame`, or `position` with either `look_at` and `up` or `quat`, and `fov`, and `width`, `height`. Without a camera it is the
-    /// first to show.
-    pub(crate) fn from_query(parameters: &mut Parameters) -> ApiResult<Self> {
-        let request = ViewRequest {
+    /// Takes `frame`, `position`, `look_at`, `up`, `quat`, `fov`, `width` and `height` of a query.
+    pub(crate) fn take(parameters: &mut Parameters) -> ApiResult<ViewRequest> {
+        Ok(ViewRequest {
             width: side(parameters, "width")?,
             height: side(parameters, "height")?,
             position: parameters.take_numbers("position", "three finite numbers x,y,z")?,
@@ -38,7 +40,11 @@ impl CameraSpec {
             fov: parameters.take_as("fov", "a number of degrees")?,
             frame: parameters.take("frame"),
             ..ViewRequest::default()
-        };
+        })
+    }
+
+    /// The camera of a query. Without one it is the first to show.
+    pub(crate) fn from_query(request: ViewRequest) -> ApiResult<Self> {
         if request.names_no_camera() {
             let ViewRequest { width, height, .. } = request;
             return Ok(Self::First { width, height });

@@ -27,7 +27,7 @@ use super::{
     rendering::{
         Admission, Format, FrameSpec, Output, Picture, PictureKind, RenderFrame, SettingError, Timing,
     },
-    request::{ApiJson, Etag, JsonBody, Parameters, not_modified},
+    request::{ApiJson, Etag, JsonBody, Parameters, not_modified, prefers},
     state::AppState,
 };
 use crate::{
@@ -67,9 +67,10 @@ impl ViewQuery {
     pub(super) fn take(mut parameters: Parameters) -> ApiResult<Self> {
         let kind = take_kind(&mut parameters, Format::Png)?;
         let lambda = take_lambda(&mut parameters)?;
-        let spec = CameraSpec::from_query(&mut parameters)?;
+        let request = CameraSpec::take(&mut parameters)?;
+        // Before what is missing: a parameter that is no parameter was meant for it.
         parameters.finish()?;
-        Ok(Self { kind, lambda, spec })
+        Ok(Self { kind, lambda, spec: CameraSpec::from_query(request)? })
     }
 }
 
@@ -99,6 +100,7 @@ pub(super) async fn post(
     State(state): State<AppState>,
     OwnedJob(record): OwnedJob,
     caller: Caller,
+    headers: HeaderMap,
     ApiJson(request): ApiJson<RenderViewsRequest>,
 ) -> ApiResult {
     let RenderViewsRequest { views, output, format, quality, lambda } = request;
@@ -117,7 +119,9 @@ pub(super) async fn post(
     } else {
         let slot = state.view_renderer.enter(caller.key, Admission::Request(frames.len()))?;
         let stream = FrameStream { frames, rounds: 1, every: None, stop: StopCondition::WhenDone };
-        stream.answer(&state, slot, BodyFormat::Multipart(Multipart::Mixed)).await?
+        let is_form = prefers(&headers, "multipart/form-data", "multipart/mixed");
+        let kind = if is_form { Multipart::Form } else { Multipart::Mixed };
+        stream.answer(&state, slot, BodyFormat::Multipart(kind)).await?
     };
     response.headers_mut().insert(header::CACHE_CONTROL, HeaderValue::from_static("no-store"));
     Ok(response)

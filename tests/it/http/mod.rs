@@ -192,6 +192,7 @@ scenarios! {
     sequences {
         an_orbit_is_streamed_part_by_part_as_often_as_asked,
         a_path_is_animated_through_its_views,
+        an_animation_is_written_as_webp_too,
         an_orbit_is_one_file_with_a_tag,
         impossible_sequences_are_refused_by_name,
         sequences_fail_as_views_do,

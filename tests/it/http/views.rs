@@ -125,6 +125,18 @@ pub(super) async fn views_come_in_three_formats_and_as_multipart(coverage: Cover
         })
         .collect();
     assert_eq!(sizes, [(40, 32), (20, 16)]);
+    let form = server
+        .send("POST", &format!("{job}/views"), |request| {
+            request.json(&body).header("accept", "multipart/form-data")
+        })
+        .await
+        .expect(200);
+    assert!(form.header("content-type").starts_with("multipart/form-data; boundary="));
+    let fields = self::parts(&form.body, form.header("content-type"));
+    for (index, ((head, content), (_, same))) in fields.iter().zip(&parts).enumerate() {
+        assert!(head.ends_with(&format!("form-data; name=\"{index}\"; filename=\"{index}.png\"")), "{head}");
+        assert_eq!(content, same);
+    }
 }
 
 pub(super) async fn depth_and_alpha_are_served_as_pictures_and_as_numbers(coverage: Coverage) {
@@ -234,6 +246,8 @@ pub(super) async fn impossible_views_are_refused_by_name(coverage: Coverage) {
     for (query, kind, named) in [
         ("fov=50", "invalid-parameter", "position"),
         ("look_at=0,0,0", "invalid-parameter", "position"),
+        ("pos=1,2,3", "invalid-parameter", "pos: is not a parameter"),
+        ("position=1,2,3&lookat=0,0,0", "invalid-parameter", "lookat: is not a parameter"),
         ("position=1,0,0&look_at=0,0,0&fx=50", "invalid-parameter", "fx"),
         ("position=1,2,3", "invalid-parameter", "look_at"),
         ("position=1,2&look_at=0,0,0", "invalid-parameter", "position"),
