@@ -5,8 +5,8 @@ use serde::{Deserialize, Serialize};
 
 use super::IdempotentRequest;
 use crate::domain::{
-    DatasetId, DatasetSummary, Digest, Job, JobId, JobMetrics, JobState, KeyId, Metadata, ModelKind, Preparation, Problem,
-    ProjectId, SceneFormat, TrainOptions, named_choice,
+    DatasetId, DatasetSummary, Digest, Job, JobId, JobMetrics, JobState, KeyId, Metadata, ModelKind,
+    Preparation, Problem, ProjectId, SceneFormat, TrainOptions, named_choice,
 };
 
 /// A published blob, serialized as the API shows it.

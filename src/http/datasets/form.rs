@@ -141,9 +141,10 @@ impl Extra {
             let unread = extra.fetch_add(piece.len(), Relaxed) + piece.len();
             // Two pieces may be on their way to the file.
             if unread > MAX_EXTRA + 2 * piece.len() {
-                return Err(BodyError(ProblemType::BodyTooLarge.because(format!(
-                    "the form has more than {MAX_EXTRA} bytes besides its file"
-                ))));
+                return Err(BodyError(
+                    ProblemType::BodyTooLarge
+                        .because(format!("the form has more than {MAX_EXTRA} bytes besides its file")),
+                ));
             }
             Ok(Some((piece, (pieces, extra))))
         })

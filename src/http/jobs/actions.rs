@@ -62,8 +62,7 @@ struct RetryJobRequest {
 }
 
 impl JsonBody for RetryJobRequest {
-    const EXPECTED: &'static str =
-        "{\"from_checkpoint\": BOOLEAN, \"deadline_s\": SECONDS, \"name\": TEXT, \"metadata\": OBJECT, OPTION: VALUE, ...}";
+    const EXPECTED: &'static str = "{\"from_checkpoint\": BOOLEAN, \"deadline_s\": SECONDS, \"name\": TEXT, \"metadata\": OBJECT, OPTION: VALUE, ...}";
 }
 
 impl RetryJobRequest {

@@ -13,7 +13,10 @@ use super::{
     representation,
 };
 use crate::{
-    domain::{Caller, DatasetId, Digest, FailurePoint, JobId, Layout, Preparation, ProblemType, failure_point::reach},
+    domain::{
+        Caller, DatasetId, Digest, FailurePoint, JobId, Layout, Preparation, ProblemType,
+        failure_point::reach,
+    },
     http::{
         datasets::{
             form::{FORM, receive_form},

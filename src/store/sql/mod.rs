@@ -50,8 +50,8 @@ use serde_json::json;
 
 use super::{
     Artifact, AttemptRecord, BlobRef, Cancellation, ChangeKind, Changes, Claim, Claimant, Deletion,
-    Heartbeat, JobChange, JobFilter, JobRecord, JobUpdate, Lease, NewJob, Outcome, PageKey, QueuePolicy, RetryOutcome,
-    RetryRequest, StoreError, StoreFuture, WorkerDeath, leases::LeaseWatch,
+    Heartbeat, JobChange, JobFilter, JobRecord, JobUpdate, Lease, NewJob, Outcome, PageKey, QueuePolicy,
+    RetryOutcome, RetryRequest, StoreError, StoreFuture, WorkerDeath, leases::LeaseWatch,
 };
 use crate::domain::{
     Clock, Event, EventKind, FailurePoint, JobId, JobState, Phase, Preparation, Progress,

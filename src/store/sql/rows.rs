@@ -4,9 +4,9 @@ use std::{io, str::FromStr, time::Duration};
 
 use super::db::Row;
 use crate::{
-    domain::{DatasetId, 
-        Digest, EndpointId, Event, EventKind, ExportFidelity, Job, JobId, JobState, Preparation, ProjectId,
-        SeriesPoint, WebhookEvent, WebhookSecret,
+    domain::{
+        DatasetId, Digest, EndpointId, Event, EventKind, ExportFidelity, Job, JobId, JobState, Preparation,
+        ProjectId, SeriesPoint, WebhookEvent, WebhookSecret,
     },
     store::{
         Artifact, ArtifactKind, AttemptRecord, BlobRef, DeliveryRecord, DueDelivery, EndpointRecord,

@@ -120,7 +120,7 @@ fn wrong_usage_is_status_2_and_says_what_is_wrong() {
         (&["cancel", "17"], "not a job id"),
         (&["retry", JOB, "--deadline", "soon"], "--deadline"),
         (&["delete"], "JOB"),
-        (&["view", JOB, "-o", "o.png"], "--frame"),
+        (&["view", JOB, "--frame", "a", "--position", "1,2,3", "-o", "o.png"], "--frame"),
         (&["view", JOB, "--position", "1,2,3", "-o", "o.png"], "--look-at"),
         (&["view", JOB, "--frame", "a", "-o", "o.gif"], ".png"),
         (&["export", "f", "-o", "o"], "--format"),

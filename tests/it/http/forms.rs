@@ -21,7 +21,8 @@ fn idle() -> Setup {
 fn form(fields: &[(&str, &str)]) -> Vec<u8> {
     let mut body = String::new();
     for (name, value) in fields {
-        let file = if *name == "file" { "; filename=\"scene.zip\"\r\nContent-Type: application/zip" } else { "" };
+        let file =
+            if *name == "file" { "; filename=\"scene.zip\"\r\nContent-Type: application/zip" } else { "" };
         body += &format!(
             "--{BOUNDARY}\r\nContent-Disposition: form-data; name=\"{name}\"{file}\r\n\r\n{value}\r\n"
         );
@@ -40,14 +41,13 @@ async fn send_as(
     fill: impl FnOnce(reqwest::RequestBuilder) -> reqwest::RequestBuilder,
 ) -> Answer {
     let media_type = format!("multipart/form-data; boundary={BOUNDARY}");
-    server
-        .send("POST", path, |request| fill(request.header("content-type", media_type).body(body)))
-        .await
+    server.send("POST", path, |request| fill(request.header("content-type", media_type).body(body))).await
 }
 
 pub(super) async fn a_dataset_comes_in_a_form_or_as_bytes(coverage: Coverage) {
     let server = Server::start_with(&coverage, idle()).await;
-    let by_body = server.upload("?seed=7&name=garden&metadata[site]=north", "succeed").await.expect(201).json();
+    let by_body =
+        server.upload("?seed=7&name=garden&metadata[site]=north", "succeed").await.expect(201).json();
     let fields = [("seed", "7"), ("name", "garden"), ("lambda", ""), ("metadata[site]", "north")];
     let file = [("file", "succeed")];
     for (query, parts) in [
@@ -87,13 +87,18 @@ pub(super) async fn what_is_wrong_with_a_form_is_said(coverage: Coverage) {
         for (fields, kind, named) in [
             (vec![("name", "x")], "invalid-parameter", "-F file=@"),
             (vec![("file", "succeed"), ("file", "succeed")], "invalid-parameter", "file: is given twice"),
-            (vec![("file", "succeed"), ("name", "a"), ("name", "b")], "invalid-parameter", "name: is given twice"),
+            (
+                vec![("file", "succeed"), ("name", "a"), ("name", "b")],
+                "invalid-parameter",
+                "name: is given twice",
+            ),
         ] {
             let detail = send(&server, path, form(&fields)).await.expect_problem(422, kind);
             assert!(detail.contains(named), "{detail}");
         }
         let twice = form(&[("file", "succeed"), ("name", "a")]);
-        let detail = send(&server, &format!("{path}?name=b"), twice).await.expect_problem(422, "invalid-parameter");
+        let detail =
+            send(&server, &format!("{path}?name=b"), twice).await.expect_problem(422, "invalid-parameter");
         assert!(detail.contains("name: is given twice"), "{detail}");
         for cut in [0, 10, whole.len() - 5] {
             send(&server, path, whole[..cut].to_vec()).await.expect_problem(400, "malformed-form");
@@ -112,7 +117,9 @@ pub(super) async fn what_is_wrong_with_a_form_is_said(coverage: Coverage) {
         let many = vec![("metadata[a]", "x"); 101];
         send(&server, path, form(&many)).await.expect_problem(422, "invalid-parameter");
         let long = "x".repeat(2 << 20);
-        for large in [form(&[("name", &long), ("file", "succeed")]), form(&[(&long, "x"), ("file", "succeed")])] {
+        for large in
+            [form(&[("name", &long), ("file", "succeed")]), form(&[(&long, "x"), ("file", "succeed")])]
+        {
             send(&server, path, large).await.expect_problem(413, "body-too-large");
         }
         send(&server, path, form(&[("file", &long)])).await.expect_problem(413, "body-too-large");

@@ -302,7 +302,8 @@ pub(super) async fn a_failed_or_cancelled_job_is_retried_as_a_new_one(coverage: 
 
 pub(super) async fn a_job_is_repeated_with_other_options(coverage: Coverage) {
     let server = Server::start(&coverage).await;
-    let first = server.upload("?seed=9&lambda=0.004&priority=3&name=statue&metadata[site]=hall", "succeed").await;
+    let first =
+        server.upload("?seed=9&lambda=0.004&priority=3&name=statue&metadata[site]=hall", "succeed").await;
     let first = first.expect(201);
     let path = first.header("location").to_owned();
     server.reaches(&path, "succeeded").await;
@@ -311,7 +312,8 @@ pub(super) async fn a_job_is_repeated_with_other_options(coverage: Coverage) {
         let detail = server.post_json(&retry, &same).await.expect_problem(409, "job-not-retryable");
         assert!(detail.contains("only with other options"), "{detail}");
     }
-    let again = server.post_json(&retry, &json!({ "lambda": 0.002, "from_checkpoint": false })).await.expect(201);
+    let again =
+        server.post_json(&retry, &json!({ "lambda": 0.002, "from_checkpoint": false })).await.expect(201);
     let new = again.json();
     let before = first.json();
     assert_eq!((&new["options"]["lambda"], &new["options"]["seed"]), (&json!(0.002), &json!(9)));

@@ -217,7 +217,8 @@ fn validate_with(place: &str, schema: &Value, body: &[u8], shown_job: &str) {
     let body: Value = serde_json::from_slice(body)
         .unwrap_or_else(|error| panic!("{place}: {error}: {}", String::from_utf8_lossy(body)));
     let mut whole = json!({ "allOf": [schema], "components": DOCUMENT["components"] });
-    whole["components"]["schemas"]["ShownJob"] = json!({ "$ref": format!("#/components/schemas/{shown_job}") });
+    whole["components"]["schemas"]["ShownJob"] =
+        json!({ "$ref": format!("#/components/schemas/{shown_job}") });
     let validator = jsonschema::options()
         .with_draft(jsonschema::Draft::Draft202012)
         .should_validate_formats(true)

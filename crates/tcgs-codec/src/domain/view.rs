@@ -260,12 +260,17 @@ mod tests {
     fn a_frame_takes_a_size_and_nothing_else() {
         let frame = View::Frame { name: "a".to_owned(), width: Some(8), height: None };
         assert_eq!(view(r#"{"frame": "a", "width": 8}"#), Ok(frame));
-        assert_eq!(view(r#"{"frame": "a", "fy": 8}"#), Err(ViewError::Excluded { field: "fy", with: "frame" }));
+        assert_eq!(
+            view(r#"{"frame": "a", "fy": 8}"#),
+            Err(ViewError::Excluded { field: "fy", with: "frame" })
+        );
     }
 
     #[test]
     fn a_position_means_what_its_matrix_means() {
-        let at = camera(r#"{"position": [4, 0, 0], "look_at": [0, 0, 0], "up": [0, 0, 1], "fov": 60, "width": 640, "height": 480}"#);
+        let at = camera(
+            r#"{"position": [4, 0, 0], "look_at": [0, 0, 0], "up": [0, 0, 1], "fov": 60, "width": 640, "height": 480}"#,
+        );
         assert_eq!(camera(r#"{"position": [4, 0, 0], "look_at": [0, 0, 0]}"#), at, "the defaults");
         let matrix = r#""camera_to_world": [[0,0,-1,4],[1,0,0,0],[0,-1,0,0],[0,0,0,1]]"#;
         let same = camera(&format!(r#"{{{matrix}, "fx": 554.2562584220407, "width": 640, "height": 480}}"#));
@@ -292,7 +297,9 @@ mod tests {
         assert_eq!(view(&format!(r#"{{{at}, {POSE}}}"#)), excluded("camera_to_world", "position"));
         let both = view(&format!(r#"{{{at}, "quat": [1, 0, 0, 0], "up": [0, 0, 1]}}"#));
         assert_eq!(both, excluded("up", "quat"));
-        for (fields, field) in [(r#""quat": [0, 0, 0, 0]"#, "quat"), (r#""look_at": [0, 0, 0], "fov": 180"#, "fov")] {
+        for (fields, field) in
+            [(r#""quat": [0, 0, 0, 0]"#, "quat"), (r#""look_at": [0, 0, 0], "fov": 180"#, "fov")]
+        {
             let error = view(&format!("{{{at}, {fields}}}")).expect_err(field);
             assert_eq!(error.field().map(|(field, _)| field), Some(field), "{error}");
         }
