@@ -176,7 +176,7 @@ def main():
 
     changed = change_job.sync_detailed(job.id, client=client, body=ChangeJobRequest(name="first"))
     assert expect(changed, 200).parsed.name == "first"
-    part = expect(get_job.sync_detailed(job.id, client=client, fields=["id", "metrics.test.psnr"]), 200).parsed
+    part = expect(get_job.sync_detailed(job.id, client=client, fields="id,metrics.test.psnr"), 200).parsed
     assert part.to_dict() == {"id": str(job.id), "metrics": {"test": {"psnr": finished.metrics.test.psnr}}}, part
 
     # The archive in a form; its dataset serves the next job by its id.

@@ -116,7 +116,7 @@ enum Command {
     Jobs(remote::jobs::Args),
     /// Cancel a job of a service
     Cancel(remote::JobArgs),
-    /// Queue a failed or cancelled job of a service again
+    /// Queue a job of a service again, also with other options
     Retry(remote::actions::RetryArgs),
     /// Delete an ended job of a service with its files
     Delete(remote::JobArgs),

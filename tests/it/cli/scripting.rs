@@ -136,6 +136,22 @@ fn wrong_usage_is_status_2_and_says_what_is_wrong() {
 }
 
 #[test]
+fn a_refused_value_of_a_variable_is_blamed_on_the_variable() {
+    let serve = |flags: &[&str]| {
+        let mut command = program::command();
+        command.args(["serve", "--print-config"]).args(flags).env("TCGS_WORKERS", "abc");
+        command.output().expect("runs")
+    };
+    let output = serve(&[]);
+    assert_eq!(output.status.code(), Some(2));
+    let said = text(&output.stderr);
+    assert!(said.contains("the environment variable TCGS_WORKERS") && said.contains("'abc'"), "{said}");
+    let output = serve(&["--workers", "xyz"]);
+    let typed = text(&output.stderr);
+    assert!(!typed.contains("TCGS_WORKERS") && typed.contains("'xyz'"), "{typed}");
+}
+
+#[test]
 fn refused_input_is_status_3_and_names_the_file() {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let garbage = folder.path().join("garbage.bin");
