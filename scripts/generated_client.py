@@ -15,6 +15,7 @@ from pathlib import Path
 from tcgs_client import AuthenticatedClient
 from tcgs_client.api.jobs import (
     cancel_job,
+    change_job,
     create_job,
     delete_job,
     estimate_job,
@@ -32,17 +33,21 @@ from tcgs_client.api.jobs import (
 from tcgs_client.api.scenes import create_scene, delete_scene, get_scene, list_scenes
 from tcgs_client.api.service import healthz, metrics, readyz, version
 from tcgs_client.api.uploads import append_to_upload, create_upload, delete_upload, get_upload, upload_options
-from tcgs_client.api.views import get_view, render_views
+from tcgs_client.api.views import get_view, list_cameras, render_views
 from tcgs_client.models import (
     AppendToUploadTusResumable,
+    ChangeJobRequest,
     CreateUploadTusResumable,
     DeleteUploadTusResumable,
     ExportSceneFormat,
     ExportSceneUp,
     FrameView,
     GetUploadTusResumable,
+    JobForm,
     JobRequest,
     JobState,
+    LookAtView,
+    RetryRequest,
     SceneOfUpload,
     ViewsRequest,
 )
@@ -158,7 +163,38 @@ def main():
     assert expect(posed, 200).content.startswith(b"\x89PNG")
     wish = ViewsRequest(views=[FrameView(frame=frame)])
     assert expect(render_views.sync_detailed(job.id, client=client, body=wish), 200).content == view
+    # Without a camera, by position, and by a camera of the dataset.
+    small = expect(get_view.sync_detailed(job.id, client=client, width=32), 200).content
+    assert small.startswith(b"\x89PNG") and len(small) < len(view)
+    at = ViewsRequest(views=[LookAtView(position=[3, 0, 1], look_at=[0, 0, 0], width=64, height=48)])
+    assert expect(render_views.sync_detailed(job.id, client=client, body=at), 200).content == posed.content
+    cameras = expect(list_cameras.sync_detailed(job.id, client=client), 200).parsed.cameras
+    same = next(camera.view for camera in cameras if camera.name == frame)
+    wish = ViewsRequest(views=[same])
+    assert expect(render_views.sync_detailed(job.id, client=client, body=wish), 200).content == view
     assert b"tcgs_" in expect(metrics.sync_detailed(client=client), 200).content
+
+    changed = change_job.sync_detailed(job.id, client=client, body=ChangeJobRequest(name="first"))
+    assert expect(changed, 200).parsed.name == "first"
+    part = expect(get_job.sync_detailed(job.id, client=client, fields="id,metrics.test.psnr"), 200).parsed
+    assert part.to_dict() == {"id": str(job.id), "metrics": {"test": {"psnr": finished.metrics.test.psnr}}}, part
+
+    # The archive in a form; its dataset serves the next job by its id.
+    form = JobForm(file=File(payload=io.BytesIO(archive), file_name="scene.zip", mime_type="application/zip"))
+    form["iterations"] = "1000000"
+    sent = expect(create_job.sync_detailed(client=client, body=form), 201).parsed
+    assert sent.options.iterations == 1_000_000 and sent.dataset_id == scene.id
+    expect(cancel_job.sync_detailed(sent.id, client=client), 200)
+    while expect(get_job.sync_detailed(sent.id, client=client, prefer="wait=30"), 200).parsed.state not in ENDED:
+        pass
+    repeated = retry_job.sync_detailed(sent.id, client=client, body=RetryRequest(lambda_=0.002, iterations=1_000_000))
+    repeated = expect(repeated, 201).parsed
+    assert repeated.options.lambda_ == 0.002 and repeated.retry_of == sent.id
+    expect(cancel_job.sync_detailed(repeated.id, client=client), 200)
+    while expect(get_job.sync_detailed(repeated.id, client=client, prefer="wait=30"), 200).parsed.state not in ENDED:
+        pass
+    for one in (sent, repeated):
+        expect(delete_job.sync_detailed(one.id, client=client), 204)
 
     other = create_job.sync_detailed(client=client, body=File(payload=io.BytesIO(archive)), iterations=1_000_000)
     expect(retry_job.sync_detailed(job.id, client=client), 409)

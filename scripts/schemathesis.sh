@@ -130,7 +130,7 @@ after=$(call "http://$address/metrics")
 answered() {
     awk -v route="route=\"/v1/jobs/{id}/$2\"" '/^http_request_duration_seconds_count/ && index($0, route) && /status="20[06]"/ { sum += $NF } END { print sum + 0 }' <<<"$1"
 }
-for route in artifact artifacts export events series report; do
+for route in artifact artifacts cameras export events series report; do
     [ "$(answered "$after" $route)" -gt "$(answered "$before" $route)" ] || {
         echo "schemathesis: /v1/jobs/{id}/$route never answered with what was asked for" >&2
         status=1
@@ -150,6 +150,7 @@ shows() {
 }
 json='Content-Type: application/json'
 shows "view?frame=images/view_06.png&width=16&height=16"
+shows "view?width=16"
 shows "stream?frames=2&width=16"
 shows views -H "$json" -d "{\"views\": [$view]}"
 shows animation -H "$json" -d "{\"path\": [$view], \"frames\": 2}"

@@ -17,7 +17,7 @@ use toml::{
     de::{DeTable, DeValue},
 };
 
-use super::{CliError, Report};
+use super::{CliError, Report, notice::notice, variables};
 
 /// The commands whose settings may come from a file.
 const COMMANDS: [&str; 3] = ["serve", "worker", "viewer"];
@@ -61,15 +61,25 @@ pub(crate) fn parse(
     arguments: impl IntoIterator<Item = OsString>,
 ) -> Result<Settings, CliError> {
     let arguments: Vec<OsString> = arguments.into_iter().collect();
-    let matches = command.clone().get_matches_from(&arguments);
+    let matches = matched(command.clone(), &arguments);
     let file = matches
         .subcommand()
         .filter(|(name, _)| COMMANDS.contains(name))
         .and_then(|(_, given)| given.get_one::<PathBuf>("config").cloned());
     let Some(path) = file else { return Ok(Settings { matches, command, file: None }) };
     let entries = read(&path, &command)?;
-    let matches = with_defaults(command.clone(), &entries).get_matches_from(&arguments);
+    let matches = matched(with_defaults(command.clone(), &entries), &arguments);
     Ok(Settings { matches, command, file: Some((path, entries)) })
+}
+
+/// The parsed arguments. Wrong ones end the process; if their value is a variable's, that is said first.
+fn matched(command: Command, arguments: &[OsString]) -> ArgMatches {
+    command.clone().try_get_matches_from(arguments).unwrap_or_else(|error| {
+        if let Some(variable) = variables::refused(&error, &command, arguments) {
+            notice(format!("the value is that of the environment variable {variable}"));
+        }
+        error.exit()
+    })
 }
 
 impl Settings {

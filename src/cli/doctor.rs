@@ -5,7 +5,7 @@ use std::{env, thread};
 use serde::Serialize;
 use tcgs::{
     domain::{Problem, ProblemType},
-    gpu::{self, AdapterReport},
+    gpu::{self, AdapterChoice, AdapterReport},
     poses::{NetworkIsolation, PoseProgram, ffmpeg_version},
 };
 
@@ -47,14 +47,30 @@ pub(crate) fn run(args: &Args) -> Result<Report, CliError> {
         ffmpeg: ffmpeg_version(&search.estimator.ffmpeg).ok(),
     };
     machine.advice.extend(camera_advice(&machine));
-    if machine.adapters.iter().any(|adapter| adapter.usable) {
+    let usable = machine.adapters.iter().any(|adapter| adapter.usable);
+    let chosen = usable.then(|| unmatched_choice(&machine.adapters, env::var("TCGS_ADAPTER").ok()));
+    if chosen == Some(None) {
         return Ok(Report::new(text(&machine), &machine));
     }
     if !args.json {
         notice(text(&machine));
     }
+    if let Some(Some(detail)) = chosen {
+        return Err(Problem::new(ProblemType::NoAdapter, detail).into());
+    }
     let detail = advice(&machine.adapters, env::var_os("XDG_RUNTIME_DIR").is_some()).join("; ");
     Err(Problem::new(ProblemType::NoAdapter, detail).into())
+}
+
+/// What is wrong with the variable that chooses an adapter, if it chooses none of these.
+fn unmatched_choice(adapters: &[AdapterReport], variable: Option<String>) -> Option<String> {
+    let wanted = variable?;
+    let Ok(choice) = wanted.parse::<AdapterChoice>();
+    (!adapters.iter().any(|adapter| choice.accepts_report(adapter))).then(|| {
+        format!(
+            "TCGS_ADAPTER is '{wanted}', which is no usable adapter of this machine; unset it or name one"
+        )
+    })
 }
 
 fn advice(adapters: &[AdapterReport], has_runtime_dir: bool) -> Vec<String> {
@@ -166,6 +182,22 @@ mod tests {
             usable: true,
             variant: KernelVariant::Software,
         }
+    }
+
+    #[test]
+    fn a_variable_that_chooses_no_adapter_is_named() {
+        let adapters = [lavapipe("llvmpipe Mesa 25.0.7-2 (LLVM 19.1.7)")];
+        let unmatched = |name: &str| unmatched_choice(&adapters, Some(name.to_owned()));
+        for name in ["", "auto", "lavapipe", "LLVM 15"] {
+            assert_eq!(unmatched(name), None, "{name}");
+        }
+        assert_eq!(unmatched_choice(&adapters, None), None);
+        let detail = unmatched("RTX 4090").expect("none");
+        assert!(detail.contains("TCGS_ADAPTER is 'RTX 4090'"), "{detail}");
+        let [usable] = adapters;
+        assert!(
+            unmatched_choice(&[AdapterReport { usable: false, ..usable }], Some("auto".to_owned())).is_some()
+        );
     }
 
     #[test]

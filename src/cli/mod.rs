@@ -26,6 +26,7 @@ mod inspect;
 mod json_lines;
 mod keys;
 mod limits;
+mod listen;
 mod logging;
 mod lpips;
 mod memory;
@@ -50,6 +51,7 @@ mod serve;
 mod signals;
 mod storage;
 mod train;
+mod variables;
 mod view_memory;
 mod viewer;
 mod wiring;
@@ -115,7 +117,7 @@ enum Command {
     Jobs(remote::jobs::Args),
     /// Cancel a job of a service
     Cancel(remote::JobArgs),
-    /// Queue a failed or cancelled job of a service again
+    /// Queue a job of a service again, also with other options
     Retry(remote::actions::RetryArgs),
     /// Delete an ended job of a service with its files
     Delete(remote::JobArgs),
@@ -238,6 +240,13 @@ pub(crate) fn main() -> ExitCode {
         return report::conclude(Ok(settings.printed()), false);
     }
     logging::start(cli.log_format, cli.command.verbosity());
+    if cli.command.service().is_some() {
+        for variable in variables::unread(&Cli::command()) {
+            tracing::warn!(
+                "the environment variable {variable} is none of this program; --help lists those that it reads"
+            );
+        }
+    }
     #[cfg(debug_assertions)]
     planned_failure::follow_plan();
     let json = cli.command.wants_json();

@@ -57,6 +57,7 @@ mod tests {
             (view("blender", OPENCV, 50.0), "blender"),
             (view("opencv", "[[1,0,0]]", 50.0), "length"),
             ("{}".to_owned(), "camera_to_world"),
+            (r#"{"position": [1, 2, 3]}"#.to_owned(), "look_at"),
             (r#"{"frame": "view_06"}"#.to_owned(), "--dataset"),
             ("no/such/file.json".to_owned(), "no/such/file.json"),
         ] {

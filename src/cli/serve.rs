@@ -4,7 +4,7 @@ use std::{net::SocketAddr, num::NonZeroU32, path::PathBuf, time::Duration};
 
 use tcgs::{
     domain::{Bytes, DEFAULT_MAX_PRIORITY, MAX_PRIORITY, OutboundPolicy, ProjectLimits},
-    http::{ProxyNetwork, TrustedProxies, config::AccessRules},
+    http::{AllowedOrigin, AllowedOrigins, ProxyNetwork, TrustedProxies, config::AccessRules},
 };
 
 use super::{
@@ -13,6 +13,7 @@ use super::{
     camera_search::CameraFlags,
     config::ConfigFlags,
     limits::LimitFlags,
+    listen::listen_address,
     logging::Format,
     lpips::LpipsFlag,
     memory::MemoryFlags,
@@ -30,11 +31,11 @@ pub(crate) struct Args {
     pub(crate) config: ConfigFlags,
 
     /// Address to listen on; only a loopback address is served without API keys
-    #[arg(long, value_name = "ADDR", default_value = "127.0.0.1:8080", env = "TCGS_LISTEN")]
+    #[arg(long, value_name = "ADDR", default_value = "127.0.0.1:8080", env = "TCGS_LISTEN", value_parser = listen_address)]
     listen: SocketAddr,
 
     /// Serve /metrics at this address instead, without a key
-    #[arg(long, value_name = "ADDR", env = "TCGS_METRICS_LISTEN")]
+    #[arg(long, value_name = "ADDR", env = "TCGS_METRICS_LISTEN", value_parser = listen_address)]
     metrics_listen: Option<SocketAddr>,
 
     #[command(flatten)]
@@ -105,6 +106,10 @@ struct AccessFlags {
     #[arg(long, value_name = "CIDR", value_delimiter = ',', env = "TCGS_TRUSTED_PROXIES")]
     trusted_proxies: Vec<ProxyNetwork>,
 
+    /// Origins whose pages may use the API from a browser, separated by commas, such as https://app.example; none if absent
+    #[arg(long, value_name = "ORIGIN", value_delimiter = ',', env = "TCGS_ALLOW_ORIGINS")]
+    allow_origins: Vec<AllowedOrigin>,
+
     /// File of the first key, for administrators: taken from it, or created and written into it, if the service has no keys yet
     #[arg(long, value_name = "FILE", env = "TCGS_BOOTSTRAP_ADMIN_KEY_FILE")]
     bootstrap_admin_key_file: Option<PathBuf>,
@@ -172,6 +177,7 @@ pub(crate) fn run(args: Args, log_format: Format) -> Result<Report, CliError> {
         requests_per_minute: args.quotas.requests_per_minute,
         failures_per_minute: args.access.failures_per_minute,
         trusted_proxies: TrustedProxies(args.access.trusted_proxies),
+        allowed_origins: AllowedOrigins(args.access.allow_origins),
     };
     let storage = args.storage.storage()?;
     wiring::serve(ServeOptions {

@@ -91,7 +91,9 @@ pub(crate) fn run(args: &Args) -> Result<Report, CliError> {
     display.finish();
     let output = outcome.map_err(|failure| match failure {
         // An upload has no name, but a dataset on the command line has one.
-        JobError::Fail(problem) if reached == Phase::Ingest && problem.file.is_none() => {
+        JobError::Fail(problem)
+            if reached == Phase::Ingest && problem.file.is_none() && problem.status < 500 =>
+        {
             CliError::Problem(problem.in_file(args.dataset.display().to_string()))
         }
         JobError::Fail(problem) | JobError::Retry(problem) | JobError::Hold(problem) => {

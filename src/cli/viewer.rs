@@ -8,6 +8,7 @@ use super::{
     CliError, Report,
     adapter::AdapterFlag,
     config::ConfigFlags,
+    listen::listen_address,
     storage::StorageFlags,
     view_memory::ViewMemoryFlag,
     wiring::{self, Advertised, ViewerOptions},
@@ -20,7 +21,7 @@ pub(crate) struct Args {
     pub(crate) config: ConfigFlags,
 
     /// Address at which replicas of the API reach this process; only they are answered
-    #[arg(long, value_name = "ADDR", default_value = "127.0.0.1:8090", env = "TCGS_VIEWER_LISTEN")]
+    #[arg(long, value_name = "ADDR", default_value = "127.0.0.1:8090", env = "TCGS_VIEWER_LISTEN", value_parser = listen_address)]
     listen: SocketAddr,
 
     /// URL at which replicas reach this process, if it is not http:// and the address it listens on, or this machine's name if it listens on

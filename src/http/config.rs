@@ -8,7 +8,7 @@ use std::{
 
 use thiserror::Error;
 
-use super::client_address::TrustedProxies;
+use super::{client_address::TrustedProxies, origins::AllowedOrigins};
 use crate::domain::{OutboundPolicy, with_defaults};
 
 with_defaults! {
@@ -92,6 +92,8 @@ with_defaults! {
         pub failures_per_minute: NonZeroU32 = const { NonZeroU32::new(30).unwrap() },
         /// Proxies whose forwarding headers are trusted.
         pub trusted_proxies: TrustedProxies = TrustedProxies::default(),
+        /// Origins whose pages may use the API, besides the service's own.
+        pub allowed_origins: AllowedOrigins = AllowedOrigins::default(),
     }
 }
 

@@ -14,6 +14,7 @@ mod jobs;
 mod keys;
 mod meters;
 mod metrics;
+mod origins;
 #[doc(hidden)]
 pub mod parsers;
 mod problem;
@@ -37,10 +38,14 @@ use axum::{
     middleware::{from_fn, from_fn_with_state, map_response},
     routing::{get, head, options, post},
 };
+use tower::util::option_layer;
 use tower_http::catch_panic::CatchPanicLayer;
+
+use server::cors::Cors;
 
 pub use client_address::{ProxyNetwork, TrustedProxies};
 pub use config::HttpConfig;
+pub use origins::{AllowedOrigin, AllowedOrigins, InvalidOrigin};
 pub use server::{Listeners, ServeError, bind, serve};
 pub use services::Services;
 pub use state::AppState;
@@ -76,9 +81,11 @@ fn routes(state: AppState, more: Router<AppState>) -> Router {
             head(uploads::head).patch(uploads::append).delete(uploads::delete).post(uploads::overridden),
         )
         .layer(map_response(uploads::tus::stamp));
+    let origins = &state.limits.access.allowed_origins;
+    let cors = (!origins.0.is_empty()).then(|| from_fn_with_state(Cors::new(origins), server::cors::share));
     more.route("/v1/jobs", get(jobs::list::list).post(jobs::create::create))
         .route("/v1/estimate", post(estimate::estimate))
-        .route("/v1/jobs/{id}", get(jobs::get).delete(jobs::actions::delete))
+        .route("/v1/jobs/{id}", get(jobs::get).patch(jobs::change::change).delete(jobs::actions::delete))
         .route("/v1/jobs/{id}/cancel", post(jobs::actions::cancel))
         .route("/v1/jobs/{id}/retry", post(jobs::actions::retry))
         .route("/v1/jobs/{id}/events", get(jobs::events::list))
@@ -87,6 +94,7 @@ fn routes(state: AppState, more: Router<AppState>) -> Router {
         .route("/v1/jobs/{id}/artifacts", get(files::list))
         .route("/v1/jobs/{id}/export", get(files::exports::get))
         .route("/v1/artifacts/{sha256}", get(files::by_hash))
+        .route("/v1/jobs/{id}/cameras", get(views::cameras::get))
         .route("/v1/jobs/{id}/view", get(views::get))
         .route("/v1/jobs/{id}/views", post(views::post))
         .route("/v1/jobs/{id}/stream", get(views::sequence::stream))
@@ -120,6 +128,7 @@ fn routes(state: AppState, more: Router<AppState>) -> Router {
         .layer(CatchPanicLayer::custom(server::middleware::panicked))
         .layer(from_fn(server::head::bounded))
         .layer(from_fn(server::drain_body::drain_unread))
+        .layer(option_layer(cors))
         .layer(from_fn_with_state(state.clone(), server::middleware::wrap))
         .with_state(state)
 }

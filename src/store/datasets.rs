@@ -34,6 +34,8 @@ pub struct DatasetRecord {
     pub dataset: BlobRef,
     /// Summary of the structure check.
     pub summary: DatasetSummary,
+    /// Whether it stays without jobs. One that came as the body of a job is deleted with the last of its jobs until a request keeps it.
+    pub kept: bool,
     /// Row version, incremented by every change.
     pub version: u64,
     pub created_at: Timestamp,

@@ -5,8 +5,8 @@ use serde::{Deserialize, Serialize};
 
 use super::IdempotentRequest;
 use crate::domain::{
-    DatasetId, Digest, Job, JobId, JobMetrics, JobState, KeyId, Metadata, ModelKind, Preparation, Problem,
-    ProjectId, SceneFormat, TrainOptions, named_choice,
+    DatasetId, DatasetSummary, Digest, Job, JobId, JobMetrics, JobState, KeyId, Metadata, ModelKind,
+    Preparation, Problem, ProjectId, SceneFormat, TrainOptions, named_choice,
 };
 
 /// A published blob, serialized as the API shows it.
@@ -17,6 +17,15 @@ pub struct BlobRef {
     /// SHA-256 of its content, which is also its name.
     #[serde(rename = "sha256")]
     pub digest: Digest,
+}
+
+/// The dataset that comes as the body of a job.
+#[derive(Debug, Clone)]
+pub struct JobDataset {
+    /// Its identity, chosen by the caller, unless the project has a dataset with the same archive.
+    pub id: DatasetId,
+    /// Summary of the structure check.
+    pub summary: DatasetSummary,
 }
 
 /// A job to be queued.
@@ -33,6 +42,8 @@ pub struct NewJob {
     pub metadata: Metadata,
     /// The dataset that it trains on, if it did not come with its own archive.
     pub dataset_id: Option<DatasetId>,
+    /// The dataset that it came with, without a [`Self::dataset_id`].
+    pub own_dataset: Option<JobDataset>,
     /// The job that it retries.
     pub retry_of: Option<JobId>,
     /// When it fails if it is not finished by then.
@@ -63,6 +74,7 @@ impl NewJob {
             name: None,
             metadata: Metadata::default(),
             dataset_id: None,
+            own_dataset: None,
             retry_of: None,
             deadline_at: None,
             options,
@@ -334,10 +346,41 @@ pub struct RetryRequest {
     pub key: Option<KeyId>,
     /// As in [`NewJob::from_checkpoint`].
     pub from_checkpoint: bool,
+    /// Other options than those of the job.
+    pub options: Option<TrainOptions>,
+    /// Another name and other labels than those of the job.
+    pub change: JobChange,
     /// As in [`NewJob::deadline_at`].
     pub deadline_at: Option<Timestamp>,
     /// As in [`NewJob::intent`].
     pub intent: Option<IdempotentRequest>,
+}
+
+impl RetryRequest {
+    /// A retry as the job was, without key and deadline, from its checkpoint.
+    #[must_use]
+    pub fn of(id: JobId) -> Self {
+        let change = JobChange::default();
+        Self { id, key: None, from_checkpoint: true, options: None, change, deadline_at: None, intent: None }
+    }
+}
+
+/// A change of what a job's user calls it; `None` leaves a field as it is.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct JobChange {
+    /// As in [`NewJob::name`].
+    pub name: Option<Option<String>>,
+    /// As in [`NewJob::metadata`].
+    pub metadata: Option<Metadata>,
+}
+
+/// Result of a request to change a job.
+#[derive(Debug, Clone, PartialEq)]
+pub enum JobUpdate {
+    /// The job as it is now.
+    Changed(Box<JobRecord>),
+    /// It has another version than the requested one.
+    VersionMismatch,
 }
 
 /// Result of a request to retry a job.
@@ -345,7 +388,7 @@ pub struct RetryRequest {
 pub enum RetryOutcome {
     /// The new job.
     Created(Box<JobRecord>),
-    /// The job is in this state, neither failed nor cancelled.
+    /// The job is in this state: it has not ended, or it has succeeded with these very options.
     NotRetryable(JobState),
 }
 

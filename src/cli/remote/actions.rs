@@ -3,7 +3,7 @@
 use std::cell::Cell;
 
 use reqwest::Method;
-use serde_json::{Map, json};
+use serde_json::{Map, Value, json};
 use tcgs::domain::{JobState, ProblemType};
 
 use super::{
@@ -21,6 +21,10 @@ pub(crate) struct RetryArgs {
     /// Begin at the first step, also if the job left a checkpoint
     #[arg(long)]
     without_checkpoint: bool,
+
+    /// Option to change, by its name in the API, as in --set lambda=0.002; the others stay, and training begins at the first step
+    #[arg(long, value_name = "NAME=VALUE", value_parser = change)]
+    set: Vec<(String, Value)>,
 
     /// Fail the new job if it has not succeeded after this many seconds
     #[arg(long, value_name = "SECONDS")]
@@ -41,16 +45,31 @@ pub(crate) fn cancel(args: &JobArgs) -> Result<Report, CliError> {
     Ok(Report { text, json: whole })
 }
 
-/// Queues a failed or cancelled job again, as a new job.
+/// Queues a job again that has ended, as a new job.
 pub(crate) fn retry(args: &RetryArgs) -> Result<Report, CliError> {
     let JobArgs { job, server, .. } = &args.of;
     let connection = server.connect()?;
-    let mut request = Map::from_iter([("from_checkpoint".to_owned(), json!(!args.without_checkpoint))]);
-    request.extend(args.deadline.map(|seconds| ("deadline_s".to_owned(), json!(seconds))));
-    let (path, request) = (format!("{}/retry", job::path(*job)), request.into());
+    let (path, request) = (format!("{}/retry", job::path(*job)), request(args).into());
     let made = super::run(async { document(connection.post(&path, &request).await?).await })?;
     let (whole, new) = job::read(made)?;
     Ok(job::created(whole, &new, server))
+}
+
+/// The body of a retry's request.
+fn request(args: &RetryArgs) -> Map<String, Value> {
+    let from_checkpoint = !args.without_checkpoint && args.set.is_empty();
+    let mut request = Map::from_iter([("from_checkpoint".to_owned(), json!(from_checkpoint))]);
+    request.extend(args.deadline.map(|seconds| ("deadline_s".to_owned(), json!(seconds))));
+    request.extend(args.set.iter().cloned());
+    request
+}
+
+/// A changed option: numbers, `true`, `false` and `null` as in JSON, else a text.
+fn change(text: &str) -> Result<(String, Value), String> {
+    let (name, value) = text.split_once('=').ok_or("write NAME=VALUE, as in lambda=0.002")?;
+    let plain = serde_json::from_str(value).ok();
+    let plain = plain.filter(|value: &Value| value.is_number() || value.is_boolean() || value.is_null());
+    Ok((name.to_owned(), plain.unwrap_or_else(|| value.into())))
 }
 
 /// Deletes a job that has ended, with its files.
@@ -70,4 +89,42 @@ pub(crate) fn delete(args: &JobArgs) -> Result<Report, CliError> {
     }
     let text = format!("job {} is deleted", args.job);
     Ok(Report { text, json: json!({ "id": args.job, "deleted": true }) })
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::Parser;
+
+    use super::*;
+
+    #[derive(Debug, Parser)]
+    struct Line {
+        #[command(flatten)]
+        args: RetryArgs,
+    }
+
+    #[test]
+    fn a_retry_states_the_options_that_change() {
+        let of = |flags: &[&str]| {
+            let job = "01a20055-454e-788e-bcc5-854572fb30d3";
+            Line::try_parse_from([&["retry", job], flags].concat())
+                .map(|line| Value::from(request(&line.args)))
+        };
+        assert_eq!(of(&[]).expect("parses"), json!({ "from_checkpoint": true }));
+        let changed = of(&[
+            "--set",
+            "lambda=0.002",
+            "--set",
+            "preset=standard",
+            "--set",
+            "max_bytes=null",
+            "--deadline",
+            "60",
+        ]);
+        let expected = json!({
+            "from_checkpoint": false, "lambda": 0.002, "preset": "standard", "max_bytes": null, "deadline_s": 60,
+        });
+        assert_eq!(changed.expect("parses"), expected);
+        assert!(of(&["--set", "lambda"]).expect_err("no value").to_string().contains("lambda=0.002"));
+    }
 }

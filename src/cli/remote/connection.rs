@@ -32,6 +32,18 @@ const TRIES: u32 = 5;
 const FIRST_PAUSE: Duration = Duration::from_millis(200);
 const MAX_PAUSE: Duration = Duration::from_secs(30);
 
+/// The address of a service.
+fn service_address(server: &str) -> Result<Url, String> {
+    if !server.contains("://") {
+        return Err(format!("--server: '{server}' has no scheme; write http://{server}"));
+    }
+    let base = Url::parse(server).map_err(|error| format!("--server: '{server}': {error}"))?;
+    if !matches!(base.scheme(), "http" | "https") || base.host_str().is_none() {
+        return Err(format!("--server: '{server}' is not an http or https address"));
+    }
+    Ok(base)
+}
+
 /// A service and the API key for it.
 #[derive(Debug, Clone)]
 pub(super) struct Connection {
@@ -44,11 +56,7 @@ pub(super) struct Connection {
 impl Connection {
     /// A connection to the service at `server`; sends nothing yet.
     pub(super) fn new(server: &str, key: Option<&str>, key_source: String) -> Result<Self, CliError> {
-        let base =
-            Url::parse(server).map_err(|error| CliError::Usage(format!("--server: '{server}': {error}")))?;
-        if !matches!(base.scheme(), "http" | "https") || base.host_str().is_none() {
-            return Err(CliError::Usage(format!("--server: '{server}' is not an http or https address")));
-        }
+        let base = service_address(server).map_err(CliError::Usage)?;
         let mut headers = HeaderMap::new();
         if let Some(key) = key {
             let mut value = HeaderValue::try_from(format!("Bearer {key}"))
@@ -289,5 +297,15 @@ mod tests {
         let request = request.build().expect("whole");
         assert_eq!(request.url().as_str(), "http://a.example/tcgs/v1/jobs?limit=1");
         assert!(!format!("{connection:?} {request:?}").contains("secret"));
+    }
+
+    #[test]
+    fn an_address_without_a_scheme_is_shown_with_one() {
+        for server in ["127.0.0.1:19000", "localhost:19000", "example.com"] {
+            let error = service_address(server).expect_err(server);
+            assert!(error.contains(&format!("write http://{server}")), "{error}");
+        }
+        service_address("http://127.0.0.1:19000").expect("an address");
+        assert!(service_address("ftp://example.com").expect_err("no HTTP").contains("http or https"));
     }
 }

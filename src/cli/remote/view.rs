@@ -16,7 +16,7 @@ use crate::cli::{CliError, Report, files, picture};
 
 /// Arguments of `tcgs view`.
 #[derive(Debug, clap::Args)]
-#[command(group = clap::ArgGroup::new("camera").required(true).args(["frame", "pose", "position"]))]
+#[command(group = clap::ArgGroup::new("camera").args(["frame", "pose", "position"]))]
 pub(crate) struct Args {
     /// The job: its id, or an address that ends with it
     #[arg(value_parser = job::parse)]
@@ -25,7 +25,7 @@ pub(crate) struct Args {
     #[command(flatten)]
     server: ServerFlags,
 
-    /// Dataset image whose camera to use
+    /// Dataset image whose camera to use [default: the first that is held out]
     #[arg(long, value_name = "NAME")]
     frame: Option<String>,
 

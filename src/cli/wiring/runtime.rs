@@ -2,7 +2,10 @@
 
 use std::error::Error;
 
-use tcgs::domain::{Problem, ProblemType};
+use tcgs::{
+    domain::{Problem, ProblemType},
+    http::ServeError,
+};
 use tokio::runtime::Runtime;
 use tokio_util::sync::CancellationToken;
 
@@ -61,6 +64,18 @@ pub(super) fn unavailable(error: &(dyn Error + 'static)) -> CliError {
         source = cause.source();
     }
     Problem::new(ProblemType::Unavailable, detail).into()
+}
+
+/// A problem for an address that cannot be listened on.
+pub(super) fn cannot_listen(error: &ServeError) -> CliError {
+    match error {
+        ServeError::Bind { address, source } if source.kind() == std::io::ErrorKind::AddrInUse => {
+            let detail =
+                format!("another program listens on {address}; choose another address with --listen");
+            Problem::new(ProblemType::AddressTaken, detail).into()
+        }
+        error => unavailable(error),
+    }
 }
 
 #[cfg(test)]

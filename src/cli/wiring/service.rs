@@ -33,7 +33,7 @@ use super::{
     first_key::FirstKey,
     private,
     rendering::{Rendering, local_rendering, remote_rendering},
-    runtime::{run_until_stopped, runtime, stop_on_signals, unavailable},
+    runtime::{cannot_listen, run_until_stopped, runtime, stop_on_signals, unavailable},
 };
 use crate::cli::{CliError, camera_search::CameraFlags, files, logging::Format, storage::Storage};
 
@@ -124,7 +124,7 @@ pub(crate) fn serve(options: ServeOptions) -> Result<(), CliError> {
             true => None,
             false => Some(local_rendering(&options.adapter, options.view_memory, options.memory, checker())?),
         };
-        let listeners = http::bind(&config, has_keys).await.map_err(|error| unavailable(&error))?;
+        let listeners = http::bind(&config, has_keys).await.map_err(|error| cannot_listen(&error))?;
         let store = open_store(&options.storage, options.limits, OlderSchema::Migrate).await?;
         if let Some(first_key) = first_key {
             first_key.create(&store).await?;

@@ -15,7 +15,7 @@ use tokio::net::TcpListener;
 use url::Url;
 
 use super::{
-    runtime::{run_until_stopped, stop_on_signals, unavailable},
+    runtime::{cannot_listen, run_until_stopped, stop_on_signals, unavailable},
     service::{OlderSchema, open_blobs, open_store},
 };
 use crate::cli::{CliError, storage::Storage};
@@ -48,7 +48,7 @@ pub(crate) fn viewer(options: ViewerOptions) -> Result<(), CliError> {
         let (views, adapter) = super::views(&options.adapter, options.memory)?;
         let listener = TcpListener::bind(options.listen).await.map_err(|source| {
             let error = ServeError::Bind { address: options.listen, source };
-            unavailable(&error)
+            cannot_listen(&error)
         })?;
         let address = listener.local_addr().map_err(|error| unavailable(&error))?;
         let url = match options.advertise {

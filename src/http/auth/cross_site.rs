@@ -2,15 +2,18 @@
 //!
 //! The browser sends them with its user's access: it runs on this machine, where no key is needed, or it adds a key that was entered as
 //! a password. It also says where they come from, in `Sec-Fetch-Site` or, if it is older, in `Origin`. Requests from pages of other
-//! origins are refused, except navigation by a link, which only shows something to the user. Requests with a bearer token pass:
-//! browsers never add one by themselves.
+//! origins are refused, except navigation by a link, which only shows something to the user, and pages of origins that the operator
+//! allows. Requests with a bearer token pass: browsers never add one by themselves.
 
 use axum::http::{HeaderMap, Method};
 
 use super::host::{Hosts, only};
 use crate::{
     domain::ProblemType,
-    http::problem::{Answer as _, ApiResult, ProblemResponse},
+    http::{
+        origins::AllowedOrigins,
+        problem::{Answer as _, ApiResult, ProblemResponse},
+    },
 };
 
 /// Marks a request that follows a link on another site's page; it may read, and creates nothing.
@@ -20,19 +23,25 @@ pub(crate) struct FollowedLink;
 /// Who caused a request.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum RequestOrigin {
-    /// The user, a program, or a page of this service.
+    /// The user, a program, a page of this service or of an allowed origin.
     Own,
     /// The user, by following a link on another site's page.
     FollowedLink,
 }
 
 /// 403 for a request that a page of another origin made a browser send.
-pub(super) fn classify(method: &Method, headers: &HeaderMap, hosts: &Hosts) -> ApiResult<RequestOrigin> {
+pub(super) fn classify(
+    method: &Method,
+    headers: &HeaderMap,
+    hosts: &Hosts,
+    allowed: &AllowedOrigins,
+) -> ApiResult<RequestOrigin> {
     let site = only(headers, "sec-fetch-site");
     let origin = only(headers, "origin");
     match (site, origin) {
         (Some("same-origin" | "none"), _) => Ok(RequestOrigin::Own),
         (Some(_), _) if follows_link(method, headers) => Ok(RequestOrigin::FollowedLink),
+        (_, Some(origin)) if allowed.allow(origin) => Ok(RequestOrigin::Own),
         (Some(site), origin) => Err(refused(&format!(
             "Sec-Fetch-Site is {site}{}",
             origin.map_or_else(String::new, |origin| format!(" and Origin {origin}"))
@@ -74,13 +83,21 @@ mod tests {
     use super::*;
 
     fn classified(method: &str, headers: &[(&str, &str)]) -> Option<RequestOrigin> {
+        classified_with(&AllowedOrigins::default(), method, headers)
+    }
+
+    fn classified_with(
+        allowed: &AllowedOrigins,
+        method: &str,
+        headers: &[(&str, &str)],
+    ) -> Option<RequestOrigin> {
         let mut request = Request::builder().method(method).uri("/v1/jobs").header("host", "localhost:8080");
         for (name, value) in headers {
             request = request.header(*name, *value);
         }
         let request = request.body(Body::empty()).expect("a request");
         let hosts = Hosts::of(&request).expect("a host");
-        classify(request.method(), request.headers(), &hosts).ok()
+        classify(request.method(), request.headers(), &hosts, allowed).ok()
     }
 
     #[test]
@@ -109,6 +126,20 @@ mod tests {
             assert_eq!(classified(method, &own), Some(RequestOrigin::Own), "{method} by the service's page");
             let twice = [("sec-fetch-site", "same-origin"), ("sec-fetch-site", "cross-site")];
             assert_eq!(classified(method, &twice), None, "{method}");
+        }
+    }
+
+    #[test]
+    fn pages_of_allowed_origins_are_let_through() {
+        let allowed = AllowedOrigins(vec!["https://app.example".parse().expect("an origin")]);
+        let (site, own) = (("sec-fetch-site", "cross-site"), ("origin", "https://app.example"));
+        for method in ["GET", "POST", "DELETE"] {
+            for headers in [&[own][..], &[site, own]] {
+                assert_eq!(classified_with(&allowed, method, headers), Some(RequestOrigin::Own), "{method}");
+            }
+            for headers in [&[site][..], &[site, ("origin", "https://evil.example")], &[site, own, own]] {
+                assert_eq!(classified_with(&allowed, method, headers), None, "{method} {headers:?}");
+            }
         }
     }
 }

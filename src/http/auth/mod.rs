@@ -6,7 +6,7 @@
 //!   ([`super::HttpConfig::check_exposure`]). From the first key on, until the process ends, nothing under `/v1` is answered without
 //!   one; that includes revoked and expired keys and unknown paths.
 //! - Without keys only loopback host names are accepted ([`self::host`]); with or without keys, requests forged by other sites' pages
-//!   are refused ([`cross_site`]).
+//!   are refused ([`cross_site`]), unless the operator allows their origin ([`super::origins`]).
 //! - Browsers send a key as the password of HTTP Basic, also with requests caused by other sites' pages. So Basic is accepted only for
 //!   requests that change nothing.
 //! - Handlers that extract a [`Caller`] run only after this middleware.
@@ -33,6 +33,7 @@ use self::{
 };
 use super::{
     client_address::{ClientAddress, TrustedProxies},
+    origins::AllowedOrigins,
     problem::{Answer as _, ApiResult, ProblemResponse},
     shared::Wait,
     state::AppState,
@@ -67,7 +68,8 @@ pub(super) async fn authenticate(
     } else {
         state.auth_mode.allows_anonymous().await
     };
-    if let Err(error) = admit_page(&mut request, &open, &credentials) {
+    let origins = &state.limits.access.allowed_origins;
+    if let Err(error) = admit_page(&mut request, &open, &credentials, origins) {
         return error.into_response();
     }
     if is_open_to_all {
@@ -95,7 +97,12 @@ pub(super) async fn authenticate(
 }
 
 /// Refuses foreign host names and forged requests. If it is unknown whether keys are required, they count as not required.
-fn admit_page(request: &mut Request, open: &ApiResult<bool>, credentials: &Credentials) -> ApiResult<()> {
+fn admit_page(
+    request: &mut Request,
+    open: &ApiResult<bool>,
+    credentials: &Credentials,
+    origins: &AllowedOrigins,
+) -> ApiResult<()> {
     let hosts = Hosts::of(request)?;
     let asks_for_keys = matches!(open, Ok(false));
     if !asks_for_keys {
@@ -104,7 +111,8 @@ fn admit_page(request: &mut Request, open: &ApiResult<bool>, credentials: &Crede
     if asks_for_keys && matches!(credentials, Credentials::Bearer(_)) {
         return Ok(());
     }
-    if cross_site::classify(request.method(), request.headers(), &hosts)? == RequestOrigin::FollowedLink {
+    let origin = cross_site::classify(request.method(), request.headers(), &hosts, origins)?;
+    if origin == RequestOrigin::FollowedLink {
         request.extensions_mut().insert(FollowedLink);
     }
     Ok(())
@@ -120,7 +128,7 @@ pub(super) async fn admit_without_keys(
         if on_loopback {
             hosts.expect_loopback()?;
         }
-        cross_site::classify(request.method(), request.headers(), &hosts)
+        cross_site::classify(request.method(), request.headers(), &hosts, &AllowedOrigins::default())
     });
     match admitted {
         Ok(_) => next.run(request).await,

@@ -13,6 +13,7 @@ pub(crate) fn dataset(record: &DatasetRecord, naming: Naming) -> Value {
         "name": record.name,
         "dataset": record.dataset,
         "summary": record.summary,
+        "kept": record.kept,
         "created_at": record.created_at,
         "links": { "self": naming.href(record.id), "jobs": naming.jobs(record.id) },
     })

@@ -1,4 +1,4 @@
-//! `POST /v1/datasets`: creates a dataset from the archive in the body, or from a finished upload.
+//! `POST /v1/datasets`: creates a dataset from the archive in the body or in a form, or from a finished upload.
 
 use axum::{
     body::{Body, BodyDataStream},
@@ -9,6 +9,7 @@ use serde::Deserialize;
 
 use super::{
     find,
+    form::{FORM, receive_form},
     naming::Naming,
     received::{ARCHIVES, ReceivedDataset, receive},
     representation,
@@ -77,10 +78,12 @@ pub(crate) async fn create(
     expect_no_coding(&headers)?;
     let outcome = match media_type(&headers).as_deref() {
         Some(given) if ARCHIVES.contains(&given) => from_archive(request, &mut body).await?,
+        Some(FORM) => from_form(request, &mut body).await?,
         Some("application/json") => from_upload(request, &mut body).await?,
         given => {
             let detail = format!(
-                "the Content-Type is {}; send application/zip, video/mp4 or video/quicktime, or application/json with the id of an upload",
+                "the Content-Type is {}; send application/zip, application/octet-stream, video/mp4, video/quicktime or {FORM}, or \
+                 application/json with the id of an upload",
                 given.unwrap_or("missing")
             );
             return Err(ProblemType::UnsupportedMediaType.because(detail));
@@ -105,10 +108,7 @@ async fn from_archive(
     body: &mut BodyDataStream,
 ) -> ApiResult<CreateOutcome<CreatedScene>> {
     let CreateRequest { state, caller, uri, headers } = request;
-    let mut parameters = Parameters::parse(uri.query())?;
-    let name = parameters.take("name").map(checked_name).transpose()?;
-    let skip_missing = parameters.take_as("skip_missing", "true or false")?.unwrap_or(false);
-    parameters.finish()?;
+    let (name, skip_missing) = fields_of(Parameters::parse(uri.query())?)?;
     let announced = content_digest::announced(headers)?;
     let guard = request.begin()?;
     let project = caller.project;
@@ -118,6 +118,31 @@ async fn from_archive(
     let intent = request.intent(guard.as_ref(), received.blob().digest);
     let fields = SceneFields { project, name, upload: None, skip_missing, intent: intent.clone() };
     idempotent(request, intent, keep(state, received, fields)).await
+}
+
+async fn from_form(
+    request: CreateRequest<'_>,
+    body: &mut BodyDataStream,
+) -> ApiResult<CreateOutcome<CreatedScene>> {
+    let CreateRequest { state, caller, uri, headers } = request;
+    let parameters = Parameters::parse(uri.query())?;
+    content_digest::refuse(headers, "the digest of a form is not checked; send the archive as the body")?;
+    let guard = request.begin()?;
+    let project = caller.project;
+    let _slot = state.upload_slot(project)?;
+    let form = receive_form(state, project, headers, body).await?;
+    let intent = request.intent(guard.as_ref(), form.digest()?);
+    let (name, skip_missing) = fields_of(parameters.with(form.fields)?)?;
+    let fields = SceneFields { project, name, upload: None, skip_missing, intent: intent.clone() };
+    idempotent(request, intent, keep(state, form.dataset, fields)).await
+}
+
+/// Name and `skip_missing`, by the query or a form.
+fn fields_of(mut parameters: Parameters) -> ApiResult<(Option<String>, bool)> {
+    let name = parameters.take("name").map(checked_name).transpose()?;
+    let skip_missing = parameters.take_as("skip_missing", "true or false")?.unwrap_or(false);
+    parameters.finish()?;
+    Ok((name, skip_missing))
 }
 
 async fn from_upload(
@@ -191,8 +216,9 @@ async fn keep(
     let dataset = received.blob();
     let known = state.store().dataset_by_archive(project, dataset.digest).await?;
     let (received, summary) = match known {
-        Some(known) => (received, known.summary),
-        None => received.check(state, ReadOptions { skip_missing, ..ReadOptions::default() }).await?,
+        Some(known) if known.kept => (received, known.summary),
+        // One that came with a job may have been checked by its options.
+        _ => received.check(state, ReadOptions { skip_missing, ..ReadOptions::default() }).await?,
     };
     let new = NewDataset {
         id: DatasetId(state.services.new_uuid()),

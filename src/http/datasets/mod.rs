@@ -2,6 +2,7 @@
 
 mod body;
 pub(super) mod create;
+pub(super) mod form;
 mod naming;
 pub(super) mod received;
 

@@ -24,9 +24,14 @@ use crate::{
     },
 };
 
-/// Media types of datasets: archives and videos.
-pub(crate) const ARCHIVES: [&str; 4] =
-    ["application/zip", "application/x-zip-compressed", "video/mp4", "video/quicktime"];
+/// Media types of datasets: archives and videos. What bytes are is seen by their content.
+pub(crate) const ARCHIVES: [&str; 5] = [
+    "application/zip",
+    "application/x-zip-compressed",
+    "application/octet-stream",
+    "video/mp4",
+    "video/quicktime",
+];
 
 /// A completely received dataset.
 #[derive(Debug)]
@@ -45,7 +50,7 @@ enum ReceivedContent {
 }
 
 /// Where a body goes.
-enum Sink {
+pub(super) enum Sink {
     Disk(BlobWriter, Reservation),
     /// Nowhere; it is refused with this problem unless its project has it.
     Hash(ContentHasher, ProblemResponse),
@@ -71,7 +76,7 @@ pub(crate) async fn receive(
 }
 
 impl Sink {
-    async fn open(state: &AppState, project: ProjectId, announced: u64) -> ApiResult<Self> {
+    pub(super) async fn open(state: &AppState, project: ProjectId, announced: u64) -> ApiResult<Self> {
         match state.reservations.reserve(project, announced).await {
             Ok(reservation) => {
                 Ok(Self::Disk(state.blobs().stage(state.limits.upload_bytes).await?, reservation))
@@ -87,7 +92,7 @@ impl Sink {
         }
     }
 
-    async fn write(self, state: &AppState, project: ProjectId, piece: &[u8]) -> ApiResult<Self> {
+    pub(super) async fn write(self, state: &AppState, project: ProjectId, piece: &[u8]) -> ApiResult<Self> {
         match self {
             Self::Disk(mut staging, mut reservation) => {
                 let length = piece.len() as u64;
@@ -116,7 +121,7 @@ impl Sink {
         }
     }
 
-    async fn finish(self, state: &AppState, project: ProjectId) -> ApiResult<ReceivedDataset> {
+    pub(super) async fn finish(self, state: &AppState, project: ProjectId) -> ApiResult<ReceivedDataset> {
         match self {
             Self::Disk(staging, mut reservation) => {
                 let staged = staging.finish().await?;

@@ -1,6 +1,6 @@
 //! Actions on an existing job: cancel, retry, delete.
 
-use std::sync::Arc;
+use std::{collections::BTreeMap, sync::Arc};
 
 use axum::{
     body::Body,
@@ -9,24 +9,26 @@ use axum::{
     response::IntoResponse as _,
 };
 use serde::Deserialize;
+use serde_json::{Map, Value};
 use tokio::task::spawn_blocking;
 
 use super::{
     JobPath, OwnedJob,
     create::respond,
-    create_request::{check_deadline, deadline},
+    create_request::{changed_options, check_deadline, deadline, given_name, job_labels},
     etag, find, representation,
 };
 use crate::{
-    domain::{Caller, Digest, JobId, JobState, ProblemType},
+    domain::{Caller, Digest, JobId, JobState, ProblemType, TrainOptions},
     http::{
         problem::{Answer as _, ApiResult, ProblemResponse},
         request::{
-            CreateOutcome, CreateRequest, IfMatch, JsonBody, idempotent, parse_json, read_optional_json,
+            CreateOutcome, CreateRequest, IfMatch, JsonBody, idempotent, parse_json, present,
+            read_optional_json,
         },
         state::AppState,
     },
-    store::{Cancellation, Deletion, RetryOutcome, RetryRequest},
+    store::{Cancellation, Deletion, IdempotentRequest, JobChange, RetryOutcome, RetryRequest},
 };
 
 /// `POST /v1/jobs/{id}/cancel`.
@@ -40,17 +42,59 @@ pub(crate) async fn cancel(State(state): State<AppState>, OwnedJob(record): Owne
     }
 }
 
+/// What the new job has of its own; all else is as of the retried one.
 #[derive(Debug, Default, Deserialize)]
-#[serde(default, deny_unknown_fields)]
+#[serde(default)]
 struct RetryJobRequest {
-    /// Whether to continue from the job's checkpoint, if it has one; true if absent.
+    /// Whether to continue from the job's checkpoint, if it has one. True if absent, unless options change.
     from_checkpoint: Option<bool>,
     /// As when a job is created.
     deadline_s: Option<u32>,
+    /// `null` takes the name away.
+    #[serde(deserialize_with = "present")]
+    name: Option<Option<String>>,
+    /// `null` takes all labels away.
+    #[serde(deserialize_with = "present")]
+    metadata: Option<Option<BTreeMap<String, String>>>,
+    /// Training options.
+    #[serde(flatten)]
+    options: Map<String, Value>,
 }
 
 impl JsonBody for RetryJobRequest {
-    const EXPECTED: &'static str = "{\"from_checkpoint\": BOOLEAN, \"deadline_s\": SECONDS}";
+    const EXPECTED: &'static str = "{\"from_checkpoint\": BOOLEAN, \"deadline_s\": SECONDS, \"name\": TEXT, \"metadata\": OBJECT, OPTION: VALUE, ...}";
+}
+
+impl RetryJobRequest {
+    /// The request for a retry of a job with the options `before`.
+    async fn into_store(
+        self,
+        state: &AppState,
+        caller: Caller,
+        before: &TrainOptions,
+        intent: Option<IdempotentRequest>,
+    ) -> ApiResult<RetryRequest> {
+        let Self { from_checkpoint, deadline_s, name, metadata, options } = self;
+        deadline_s.map(check_deadline).transpose()?;
+        let options = changed_options(before, options)?;
+        let options = (options != *before).then_some(options);
+        if options.is_some() && from_checkpoint == Some(true) {
+            let error = "is not possible with other options: a checkpoint belongs to the options that it was written with";
+            return Err(ProblemResponse::parameter("from_checkpoint", error));
+        }
+        Ok(RetryRequest {
+            id: JobId(state.services.new_uuid()),
+            key: caller.key,
+            from_checkpoint: from_checkpoint.unwrap_or(options.is_none()),
+            options,
+            change: JobChange {
+                name: name.map(given_name).transpose()?,
+                metadata: metadata.map(|labels| job_labels(labels.unwrap_or_default())).transpose()?,
+            },
+            deadline_at: deadline(state, deadline_s).await?,
+            intent,
+        })
+    }
 }
 
 /// `POST /v1/jobs/{id}/retry`.
@@ -72,18 +116,11 @@ pub(crate) async fn retry(
     let content = read_optional_json(&mut body.into_data_stream(), &headers, &state.limits).await?;
     let intent = request.intent(guard.as_ref(), Digest::of(content.as_deref().unwrap_or_default()));
     let create = async {
-        let id = job?.job.id;
-        let RetryJobRequest { from_checkpoint, deadline_s } =
-            content.as_deref().map(parse_json).transpose()?.unwrap_or_default();
-        deadline_s.map(check_deadline).transpose()?;
+        let job = job?.job;
+        let id = job.id;
+        let request: RetryJobRequest = content.as_deref().map(parse_json).transpose()?.unwrap_or_default();
+        let repeat = request.into_store(&state, caller, &job.options, intent.clone()).await?;
         state.reservations.require_free_space(0)?;
-        let repeat = RetryRequest {
-            id: JobId(state.services.new_uuid()),
-            key: caller.key,
-            from_checkpoint: from_checkpoint.unwrap_or(true),
-            deadline_at: deadline(&state, deadline_s).await?,
-            intent: intent.clone(),
-        };
         match state.store().retry_job(id, repeat).await {
             Ok(None) => Err(ProblemResponse::no_job(id)),
             Ok(Some(RetryOutcome::NotRetryable(job))) => Err(not_retryable(id, job)),
@@ -101,7 +138,11 @@ pub(crate) async fn retry(
 }
 
 fn not_retryable(id: JobId, state: JobState) -> ProblemResponse {
-    let detail = format!("job {id} is {}; only a job that failed or was cancelled is retried", state.name());
+    let retried = match state {
+        JobState::Succeeded => "it is repeated only with other options",
+        _ => "only a job that has ended is retried",
+    };
+    let detail = format!("job {id} is {}; {retried}", state.name());
     ProblemType::JobNotRetryable.because(detail)
 }
 
@@ -131,7 +172,7 @@ pub(crate) async fn delete(
     Ok(StatusCode::NO_CONTENT)
 }
 
-fn changed(id: JobId) -> ProblemResponse {
+pub(super) fn changed(id: JobId) -> ProblemResponse {
     ProblemType::PreconditionFailed
         .because(format!("job {id} has changed since the version in If-Match; read it again"))
 }

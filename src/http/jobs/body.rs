@@ -7,6 +7,36 @@ use crate::{
     store::{BlobRef, JobRecord, SceneArtifact},
 };
 
+/// Names of a job's fields.
+pub(super) const FIELDS: [&str; 26] = [
+    "id",
+    "project_id",
+    "created_by",
+    "name",
+    "metadata",
+    "state",
+    "queue_position",
+    "phase",
+    "progress",
+    "metrics",
+    "artifacts",
+    "error",
+    "attempt",
+    "attempts",
+    "cancel_requested",
+    "priority",
+    "deadline_at",
+    "retry_of",
+    "dataset_id",
+    "scene_id",
+    "options",
+    "dataset",
+    "created_at",
+    "started_at",
+    "finished_at",
+    "links",
+];
+
 /// The path of a job.
 pub(crate) fn href(id: JobId) -> String {
     format!("/v1/jobs/{id}")
@@ -30,6 +60,7 @@ pub(crate) fn job(record: &JobRecord) -> Value {
         "artifact": format!("{this}/artifact"),
         "artifacts": format!("{this}/artifacts"),
         "export": format!("{this}/export"),
+        "cameras": format!("{this}/cameras"),
         "view": format!("{this}/view"),
         "views": format!("{this}/views"),
         "stream": format!("{this}/stream"),

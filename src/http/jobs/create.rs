@@ -1,4 +1,4 @@
-//! `POST /v1/jobs`: creates a job from the archive in the body, or from a scene that was sent before.
+//! `POST /v1/jobs`: creates a job from the archive in the body or in a form, or from a dataset that was sent before.
 
 use axum::{
     body::{Body, BodyDataStream},
@@ -13,9 +13,15 @@ use super::{
     representation,
 };
 use crate::{
-    domain::{Caller, Digest, FailurePoint, JobId, Layout, Preparation, ProblemType, failure_point::reach},
+    domain::{
+        Caller, DatasetId, Digest, FailurePoint, JobId, Layout, Preparation, ProblemType,
+        failure_point::reach,
+    },
     http::{
-        datasets::received::{ARCHIVES, receive},
+        datasets::{
+            form::{FORM, receive_form},
+            received::{ARCHIVES, ReceivedDataset, receive},
+        },
         problem::{Answer as _, ApiResult, ProblemResponse},
         request::{
             CreateOutcome, CreateRequest, Parameters, Resource, expect_media_type, idempotency, idempotent,
@@ -23,7 +29,7 @@ use crate::{
         },
         state::AppState,
     },
-    store::{BlobRef, JobRecord, NewJob, PriorRequest},
+    store::{BlobRef, IdempotentRequest, JobDataset, JobRecord, NewJob, PriorRequest},
 };
 
 const JSON: &str = "application/json";
@@ -36,13 +42,13 @@ pub(crate) async fn create(
     headers: HeaderMap,
     body: Body,
 ) -> ApiResult {
-    expect_media_type(&headers, &[&ARCHIVES[..], &[JSON]].concat())?;
+    expect_media_type(&headers, &[&ARCHIVES[..], &[FORM, JSON]].concat())?;
     let request = CreateRequest { state: &state, caller, uri: &uri, headers: &headers };
     let mut body = body.into_data_stream();
-    let outcome = if media_type(&headers).as_deref() == Some(JSON) {
-        from_scene(request, &mut body).await?
-    } else {
-        from_archive(request, &mut body).await?
+    let outcome = match media_type(&headers).as_deref() {
+        Some(JSON) => from_scene(request, &mut body).await?,
+        Some(FORM) => from_form(request, &mut body).await?,
+        _ => from_archive(request, &mut body).await?,
     };
     if let CreateOutcome::Created(record) = &outcome {
         let id = record.job.id;
@@ -108,10 +114,35 @@ async fn from_archive(
     let _slot = state.upload_slot(caller.project)?;
     let received = receive(state, caller.project, headers, body).await?;
     let intent = request.intent(guard.as_ref(), received.blob().digest);
+    from_received(request, wanted, received, intent).await
+}
+
+async fn from_form(
+    request: CreateRequest<'_>,
+    body: &mut BodyDataStream,
+) -> ApiResult<CreateOutcome<JobRecord>> {
+    let CreateRequest { state, caller, uri, headers } = request;
+    let parameters = Parameters::parse(uri.query())?;
+    let guard = request.begin()?;
+    let _slot = state.upload_slot(caller.project)?;
+    let form = receive_form(state, caller.project, headers, body).await?;
+    let intent = request.intent(guard.as_ref(), form.digest()?);
+    let wanted = CreateJobRequest::from_query(parameters.with(form.fields)?)?;
+    from_received(request, wanted, form.dataset, intent).await
+}
+
+async fn from_received(
+    request: CreateRequest<'_>,
+    wanted: CreateJobRequest,
+    received: ReceivedDataset,
+    intent: Option<IdempotentRequest>,
+) -> ApiResult<CreateOutcome<JobRecord>> {
+    let state = request.state;
     let create = async {
         let (received, summary) = received.check(state, wanted.options.reading()).await?;
         let job = new_job(request, wanted, (received.blob(), summary.layout)).await?;
-        let job = NewJob { intent: intent.clone(), ..job };
+        let own_dataset = Some(JobDataset { id: DatasetId(state.services.new_uuid()), summary });
+        let job = NewJob { own_dataset, intent: intent.clone(), ..job };
         let store = state.services.store.clone();
         received.keep(state, async move { store.create_job(job).await }).await
     };

@@ -12,15 +12,13 @@ use crate::{
     },
     http::{
         problem::{Answer as _, ApiResult, ProblemResponse},
-        request::{JsonBody, Parameters, parse_json},
+        request::{JsonBody, Parameters, parse_json, whole_numbers},
         state::AppState,
     },
 };
 
 /// Longest deadline, in seconds.
 const MAX_DEADLINE: u32 = 366 * 24 * 3600;
-/// Largest integer that JSON readers which use 64-bit floats, such as JavaScript's, represent exactly.
-const MAX_SEED: u64 = (1 << 53) - 1;
 /// Characters of an unknown name that a problem repeats.
 const MAX_SHOWN_NAME: usize = 100;
 
@@ -71,10 +69,7 @@ impl CreateJobRequest {
         let name = object.remove("name").filter(|value| !value.is_null());
         let name = name.map(|value| job_name(&field::<String>("name", value, "a string")?)).transpose()?;
         let metadata = object.remove("metadata").filter(|value| !value.is_null());
-        let metadata = metadata.map(|value| {
-            let labels: BTreeMap<String, String> = field("metadata", value, "an object of strings")?;
-            Metadata::try_from(labels).map_err(|error| ProblemResponse::parameter("metadata", error))
-        });
+        let metadata = metadata.map(|value| job_labels(field("metadata", value, "an object of strings")?));
         let metadata = metadata.transpose()?.unwrap_or_default();
         let options = options(&object)?;
         Ok((dataset, Self { options, priority, deadline_s, name, metadata }.validated()?))
@@ -88,13 +83,13 @@ impl CreateJobRequest {
         if let Some(seconds) = self.deadline_s {
             check_deadline(seconds)?;
         }
-        let seed = self.options.seed;
-        if seed > MAX_SEED {
-            let error = OptionError { option: "seed", error: format!("{seed} is outside 0..={MAX_SEED}") };
-            return Err(invalid_option(&error));
-        }
-        Ok(Self { options: self.options.validated().map_err(|error| invalid_option(&error))?, ..self })
+        Ok(Self { options: checked_options(self.options)?, ..self })
     }
+}
+
+/// Options that may be those of a job.
+fn checked_options(options: TrainOptions) -> ApiResult<TrainOptions> {
+    options.validated().map_err(|error| invalid_option(&error))
 }
 
 /// The name of a job.
@@ -105,8 +100,37 @@ fn job_name(name: &str) -> ApiResult<String> {
 
 /// Takes the labels of a query string, `metadata[KEY]=VALUE` each.
 pub(super) fn labels(parameters: &mut Parameters) -> ApiResult<Metadata> {
-    let labels: BTreeMap<String, String> = parameters.take_map("metadata").into_iter().collect();
+    job_labels(parameters.take_map("metadata").into_iter().collect())
+}
+
+/// Labels of a job.
+pub(super) fn job_labels(labels: BTreeMap<String, String>) -> ApiResult<Metadata> {
     Metadata::try_from(labels).map_err(|error| ProblemResponse::parameter("metadata", error))
+}
+
+/// A job's name, if it is to have one.
+pub(super) fn given_name(name: Option<String>) -> ApiResult<Option<String>> {
+    name.map(|name| job_name(&name)).transpose()
+}
+
+/// The options of a job with the changes that an object states.
+pub(super) fn changed_options(before: &TrainOptions, changes: Map<String, Value>) -> ApiResult<TrainOptions> {
+    let whole = serde_json::to_value(before).map_err(|error| ProblemResponse::internal(&error))?;
+    let mut fields = match whole {
+        Value::Object(fields) => fields,
+        _ => Map::new(),
+    };
+    // Without effect, and refused in requests.
+    fields.remove("until");
+    if changes.contains_key("plane_compression") {
+        // It is stored as one of these.
+        fields.remove("with");
+        if let Some(Value::Array(without)) = fields.get_mut("without") {
+            without.retain(|part| part != "plane-compression");
+        }
+    }
+    fields.extend(changes);
+    checked_options(options(&fields)?)
 }
 
 /// The dataset that `dataset_id` and its earlier name, `scene_id`, name.
@@ -123,7 +147,8 @@ pub(super) fn one_dataset(
     Ok(dataset.or(scene))
 }
 
-fn field<T: serde::de::DeserializeOwned>(name: &str, value: Value, expected: &str) -> ApiResult<T> {
+fn field<T: serde::de::DeserializeOwned>(name: &str, mut value: Value, expected: &str) -> ApiResult<T> {
+    whole_numbers(&mut value);
     serde_json::from_value(value.clone())
         .map_err(|_| ProblemResponse::parameter(name, format!("{value} is not {expected}")))
 }
@@ -132,7 +157,9 @@ fn field<T: serde::de::DeserializeOwned>(name: &str, value: Value, expected: &st
 fn options(fields: &Map<String, Value>) -> ApiResult<TrainOptions> {
     let mut options = TrainOptions::default();
     for (name, value) in fields {
-        train_option(name)?.set_json(&mut options, value).map_err(|error| invalid_option(&error))?;
+        let mut value = value.clone();
+        whole_numbers(&mut value);
+        train_option(name)?.set_json(&mut options, &value).map_err(|error| invalid_option(&error))?;
     }
     Ok(options)
 }
@@ -213,7 +240,7 @@ mod tests {
             (json!("masks,wavelet"), json!("plane-compression"), json!("0.004,1e-3")),
         ] {
             let object = read(json!({
-                "preset": "standard", "iterations": 7, "seed": 3, "background": "white", "without": without,
+                "preset": "standard", "iterations": 7.0, "seed": 3, "background": "white", "without": without,
                 "with": with, "voxel": 0.5, "rd_curve": rd_curve, "priority": -5, "deadline_s": 60, "lambda": null,
             }))
             .expect("possible");
@@ -226,6 +253,33 @@ mod tests {
         let largest =
             read(json!({ "priority": MAX_PRIORITY, "deadline_s": MAX_DEADLINE })).expect("possible");
         assert_eq!((largest.priority, largest.deadline_s), (MAX_PRIORITY, Some(MAX_DEADLINE)));
+    }
+
+    #[test]
+    fn changes_leave_the_other_options_as_they_are() {
+        let before = json!({
+            "preset": "standard", "seed": 3, "lambda": 0.004, "without": ["masks"], "voxel": 0.5, "exposure": "on",
+            "plane_compression": "on", "skip_missing": true, "masks": "alpha",
+        });
+        let before = read(before).expect("possible").options;
+        let change = |changes: Value| {
+            let Value::Object(changes) = changes else { panic!("an object") };
+            changed_options(&before, changes).map_err(|error| format!("{error:?}"))
+        };
+        assert_eq!(change(json!({})), Ok(before.clone()));
+        assert_eq!(
+            change(json!({ "lambda": 0.002 })),
+            Ok(TrainOptions { lambda: Some(0.002), ..before.clone() })
+        );
+        let reset = change(json!({ "lambda": null, "without": [], "seed": 0 })).expect("possible");
+        assert_eq!((reset.lambda, reset.without.len(), reset.seed), (None, 0, 0));
+        let off = change(json!({ "plane_compression": "off" })).expect("possible");
+        assert_eq!((off.with.len(), off.without.len()), (0, 2));
+        let auto = change(json!({ "plane_compression": "auto" })).expect("possible");
+        assert_eq!((auto.with.len(), auto.without.len()), (0, 1));
+        assert!(change(json!({ "model": "3dgs" })).expect_err("lambda is for tcgs").contains("lambda"));
+        assert!(change(json!({ "iteratons": 7 })).expect_err("no option").contains("iteratons: is not"));
+        assert!(change(json!({ "seed": 1_u64 << 53 })).expect_err("too large").contains("seed"));
     }
 
     #[test]
@@ -242,6 +296,9 @@ mod tests {
         assert!(long.len() < 1000);
     }
 
+    /// The largest seed.
+    const MAX_SEED: u64 = 9_007_199_254_740_991;
+
     #[test]
     fn seeds_are_taken_as_far_as_every_language_s_json_is_exact() {
         let largest = read(json!({ "seed": MAX_SEED })).expect("a job");
@@ -251,7 +308,10 @@ mod tests {
         );
         let query = Parameters::parse(Some("seed=18446744073709551615")).expect("a query");
         let error = format!("{:?}", CreateJobRequest::from_query(query).expect_err("too large"));
-        assert!(error.contains("seed: 18446744073709551615 is outside 0..=9007199254740991"), "{error}");
+        assert!(
+            error.contains("seed: '18446744073709551615' is not a whole number in 0..=9007199254740991"),
+            "{error}"
+        );
     }
 
     #[test]
@@ -262,6 +322,7 @@ mod tests {
             (json!({ "iterations": 0 }), "iterations"),
             (json!({ "seed": -1 }), "seed"),
             (json!({ "seed": (1_u64 << 53) }), "seed"),
+            (json!({ "seed": -1 }), "seed: '-1' is not a whole number in 0..=9007199254740991"),
             (json!({ "preset": "fast" }), "preset"),
             (json!({ "preset": null }), "preset"),
             (json!({ "without": ["everything"] }), "without"),
@@ -278,7 +339,7 @@ mod tests {
             (json!({ "deadline_s": MAX_DEADLINE + 1 }), "deadline_s"),
         ] {
             let error = read(fields.clone()).expect_err("impossible");
-            assert!(error.contains(&format!("{named}:")), "{fields}: {error}");
+            assert!(error.contains(named) && error.contains(':'), "{fields}: {error}");
         }
     }
 }

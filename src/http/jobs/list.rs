@@ -2,7 +2,7 @@
 
 use axum::extract::State;
 
-use super::body::job;
+use super::{body::job, fields::Fields};
 use crate::{
     domain::{Caller, DatasetId, JobState, ProjectId},
     http::{
@@ -40,11 +40,12 @@ pub(crate) async fn list(
         created_before: parameters.take_as("created_before", "an instant such as 2026-11-21T12:00:00Z")?,
         metadata: labels(&mut parameters)?,
     };
+    let fields = Fields::take(&mut parameters)?;
     parameters.finish()?;
     let seen = JobFilter { project: own.or(asked), ..filter.clone() };
     let records = state.store().jobs(&seen, page.after, page.to_read()).await?;
     let after = |last: &JobRecord| cursor(last.job.created_at, last.job.id);
-    page.answer("jobs", records, &filtered(&filter)?, after, |record| job(&record))
+    page.answer("jobs", records, &filtered(&filter, &fields)?, after, |record| fields.of(job(&record)))
 }
 
 /// `dataset_id`, or `scene_id`, its earlier name.
@@ -60,8 +61,8 @@ fn parse_states(text: &str) -> ApiResult<Vec<JobState>> {
         .collect()
 }
 
-/// The path of the list with this filter.
-fn filtered(filter: &JobFilter) -> ApiResult<String> {
+/// The path of the list with this filter and these fields.
+fn filtered(filter: &JobFilter, fields: &Fields) -> ApiResult<String> {
     let states: Vec<&str> = filter.states.iter().map(|state| state.name()).collect();
     let parts = [
         ("project_id", filter.project.map(|project| project.to_string())),
@@ -71,6 +72,7 @@ fn filtered(filter: &JobFilter) -> ApiResult<String> {
         ("name", filter.name.clone()),
         ("created_from", filter.created_from.map(|at| at.to_string())),
         ("created_before", filter.created_before.map(|at| at.to_string())),
+        ("fields", fields.text()),
     ];
     let mut pairs: Vec<(String, String)> =
         parts.into_iter().filter_map(|(name, value)| Some((name.to_owned(), value?))).collect();

@@ -2,10 +2,12 @@
 
 pub(super) mod actions;
 pub(super) mod body;
+pub(super) mod change;
 pub(super) mod create;
 pub(super) mod create_request;
 pub(super) mod event_stream;
 pub(super) mod events;
+mod fields;
 pub(super) mod list;
 pub(super) mod series;
 
@@ -16,10 +18,11 @@ use axum::{
     response::IntoResponse,
 };
 
+use self::fields::Fields;
 use super::{
     auth::caller::caller,
     problem::{Answer as _, ApiResult, ProblemResponse},
-    request::{Etag, not_modified, prefer},
+    request::{Etag, Parameters, not_modified, prefer},
     state::AppState,
 };
 use crate::{
@@ -72,8 +75,11 @@ async fn find(state: &AppState, caller: Caller, id: &str) -> ApiResult<JobRecord
 pub(super) async fn get(
     State(state): State<AppState>,
     OwnedJob(record): OwnedJob,
+    mut parameters: Parameters,
     headers: HeaderMap,
 ) -> ApiResult {
+    let fields = Fields::take(&mut parameters)?;
+    parameters.finish()?;
     let id = record.job.id;
     let (record, waited) = prefer::finished(&state, record, prefer::wait(&headers)).await?;
     let record = record.ok_or_else(|| ProblemResponse::no_job(id))?;
@@ -81,7 +87,7 @@ pub(super) async fn get(
     let mut response = if etag.is_in_if_none_match(&headers) {
         not_modified(&etag)
     } else {
-        representation(record).into_response()
+        partial(&record, &fields).into_response()
     };
     prefer::mark_applied(response.headers_mut(), waited);
     Ok(response)
@@ -97,11 +103,16 @@ pub(super) fn etag(record: &JobRecord) -> Etag {
 
 /// A job with the headers that belong to it.
 pub(super) fn representation(record: JobRecord) -> impl IntoResponse {
+    partial(&record, &Fields::default())
+}
+
+/// Some fields of a job, with the headers that belong to it.
+fn partial(record: &JobRecord, fields: &Fields) -> impl IntoResponse + use<> {
     let mut headers = HeaderMap::new();
-    headers.insert(header::ETAG, etag(&record).value());
+    headers.insert(header::ETAG, etag(record).value());
     headers.insert(header::CACHE_CONTROL, HeaderValue::from_static("no-cache"));
     if !record.job.state.is_terminal() {
         headers.insert(header::RETRY_AFTER, POLL_SECONDS.into());
     }
-    (headers, Json(body::job(&record)))
+    (headers, Json(fields.of(body::job(record))))
 }

@@ -9,7 +9,7 @@ mod view_renderer;
 
 pub(super) use self::{
     key::{FrameSpec, RenderFrame, ViewKey},
-    picture::{Format, Output, Picture, PictureKind, SettingError},
+    picture::{AnimationFormat, Format, Output, Picture, PictureKind, SettingError},
     queue::{Admission, QueueSlot},
     view_renderer::{Timing, ViewRenderer, failed},
 };

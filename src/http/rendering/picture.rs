@@ -53,6 +53,26 @@ named_choice! {
     }
 }
 
+named_choice! {
+    /// A file format for animations. Both are lossless.
+    #[derive(Default)]
+    pub(crate) enum AnimationFormat {
+        #[default]
+        Apng = "apng",
+        Webp = "webp",
+    }
+}
+
+impl AnimationFormat {
+    /// The format of its frames.
+    pub(crate) fn of_frames(self) -> Format {
+        match self {
+            Self::Apng => Format::Png,
+            Self::Webp => Format::Webp,
+        }
+    }
+}
+
 /// An invalid setting: its name, and what is wrong.
 pub(crate) type SettingError = (&'static str, String);
 

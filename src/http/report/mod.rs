@@ -52,6 +52,10 @@ static POLICY: LazyLock<Option<HeaderValue>> = LazyLock::new(|| {
     HeaderValue::try_from(policy).ok()
 });
 
+/// The media types of a report.
+const PAGE: &str = "text/html";
+const TABLE: &str = "text/csv";
+
 /// Version of the page's layout, part of its entity tag.
 const FORM: &str = env!("CARGO_PKG_VERSION");
 
@@ -63,16 +67,18 @@ pub(super) async fn get(
     headers: HeaderMap,
 ) -> ApiResult {
     let is_table = match parameters.take("format").as_deref() {
-        None | Some("html") => false,
+        None => !accepts(&headers, PAGE) && accepts(&headers, TABLE),
+        Some("html") => false,
         Some("csv") => true,
         Some(other) => {
             return Err(ProblemResponse::parameter("format", format!("'{other}' is not one of html, csv")));
         }
     };
     parameters.finish()?;
-    let kind = if is_table { "text/csv" } else { "text/html" };
+    let kind = if is_table { TABLE } else { PAGE };
     if !accepts(&headers, kind) {
-        return Err(ProblemType::NotAcceptable.because(format!("this report is served as {kind}")));
+        let detail = format!("this report is served as {kind}; format=html and format=csv choose");
+        return Err(ProblemType::NotAcceptable.because(detail));
     }
     let etag = Etag::new(format!("{}-{FORM}{}", record.job.version, if is_table { "-csv" } else { "" }));
     if etag.is_in_if_none_match(&headers) {

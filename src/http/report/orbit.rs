@@ -2,7 +2,7 @@
 
 use glam::{DMat3, DVec3};
 
-use crate::domain::{Camera, NamedCamera, Split};
+use crate::domain::{Camera, NamedCamera};
 
 /// The viewer's first view: a camera that looks at `center`, and what is up.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -19,7 +19,7 @@ pub(super) struct Orbit {
 impl Orbit {
     /// The view of the first held-out camera, or of the first there is, turned about what the cameras look at.
     pub(super) fn of(cameras: &[NamedCamera]) -> Option<Self> {
-        let first = cameras.iter().find(|camera| camera.split == Split::Test).or_else(|| cameras.first())?;
+        let first = NamedCamera::first_to_show(cameras)?;
         let Camera { intrinsics, pose } = first.camera;
         let position = pose.center();
         let up = cameras.iter().map(|camera| axis(&camera.camera, -DVec3::Y)).sum::<DVec3>();
@@ -61,7 +61,7 @@ fn focus(cameras: &[NamedCamera], position: DVec3, ahead: DVec3) -> DVec3 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::domain::{Intrinsics, Pose};
+    use crate::domain::{Intrinsics, Pose, Split};
 
     fn camera(position: DVec3, target: DVec3, split: Split) -> NamedCamera {
         let intrinsics = Intrinsics { fx: 50.0, fy: 50.0, cx: 50.0, cy: 25.0, width: 100, height: 50 };

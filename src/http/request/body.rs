@@ -13,6 +13,7 @@ use serde::{
     Deserialize, Deserializer,
     de::{DeserializeOwned, IgnoredAny},
 };
+use serde_json::Value;
 use tokio::time::{Instant, timeout, timeout_at};
 
 use crate::{
@@ -59,6 +60,9 @@ pub(crate) fn expect_media_type(headers: &HeaderMap, accepted: &[&str]) -> ApiRe
     )))
 }
 
+/// Beyond, not every whole number has a 64-bit float.
+const MAX_EXACT: f64 = 9_007_199_254_740_992.0;
+
 /// A request body in JSON.
 pub(crate) trait JsonBody: DeserializeOwned {
     /// The problem of JSON that is not such a body.
@@ -99,13 +103,34 @@ pub(crate) fn parse_json<T: JsonBody>(content: &[u8]) -> ApiResult<T> {
     {
         return Err(T::INVALID.because(format!("body: is not {}: it is an array", T::EXPECTED)));
     }
-    serde_json::from_slice(content).map_err(|error| {
+    let read = serde_json::from_slice(content).or_else(|error| {
+        // JSON knows one kind of number: 7.0 is a whole one.
+        let mut value: Value = serde_json::from_slice(content).map_err(|_| error)?;
+        whole_numbers(&mut value);
+        serde_json::from_value(value)
+    });
+    read.map_err(|error| {
         if error.is_data() {
             T::INVALID.because(format!("body: is not {}: {error}", T::EXPECTED))
         } else {
             ProblemType::MalformedJson.because(format!("the body is not JSON: {error}"))
         }
     })
+}
+
+/// Writes whole numbers without a fraction, wherever they are.
+pub(crate) fn whole_numbers(value: &mut Value) {
+    match value {
+        Value::Number(number) if number.is_f64() => {
+            let whole = number.as_f64().filter(|number| number.fract() == 0.0 && number.abs() < MAX_EXACT);
+            if let Some(whole) = whole {
+                *value = Value::from(whole as i64);
+            }
+        }
+        Value::Array(items) => items.iter_mut().for_each(whole_numbers),
+        Value::Object(fields) => fields.values_mut().for_each(whole_numbers),
+        _ => {}
+    }
 }
 
 /// Reads a JSON body into memory.
@@ -275,6 +300,9 @@ mod tests {
             assert_eq!(error.kind, Problem::new(expected, "").kind, "{content}");
         }
         parse_json::<Pair>(b" {\"first\": 1}").expect("a pair");
+        // As JSON Schema counts.
+        parse_json::<Pair>(b"{\"first\": 2353.0}").expect("a pair");
+        parse_json::<Pair>(b"{\"first\": 1.5}").expect_err("no whole number");
     }
 
     #[test]

@@ -39,6 +39,14 @@ pub(crate) fn check(announced: Option<Digest>, actual: Digest) -> ApiResult<()> 
     }
 }
 
+/// 400 for a digest that would not be checked.
+pub(crate) fn refuse(headers: &HeaderMap, why: &str) -> ApiResult<()> {
+    match headers.get(HEADER) {
+        Some(_) => Err(ProblemType::InvalidHeader.because(format!("{HEADER}: {why}"))),
+        None => Ok(()),
+    }
+}
+
 fn malformed() -> ProblemResponse {
     ProblemType::InvalidHeader.because("content-digest: is not of the form sha-256=:BASE64:")
 }

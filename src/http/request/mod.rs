@@ -13,7 +13,7 @@ mod range;
 pub(super) use accept::{accepts, prefers};
 pub(super) use body::{
     ApiJson, JsonBody, Pieces, announced_length, expect_media_type, expect_no_coding, media_type, parse_json,
-    present, read_json, read_optional_json,
+    present, read_json, read_optional_json, whole_numbers,
 };
 pub(super) use etag::{Etag, IfMatch, not_modified};
 pub(super) use idempotency::{CreateOutcome, CreateRequest, Resource, idempotent};

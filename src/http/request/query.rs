@@ -3,7 +3,6 @@
 use std::str::FromStr;
 
 use axum::{extract::FromRequestParts, http::request::Parts};
-use glam::{DQuat, DVec3, DVec4};
 
 use crate::http::problem::{ApiResult, ProblemResponse};
 
@@ -22,8 +21,16 @@ impl<S: Sync> FromRequestParts<S> for Parameters {
 impl Parameters {
     /// Reads a query string; a name may occur once.
     pub(crate) fn parse(query: Option<&str>) -> ApiResult<Self> {
-        let pairs: Vec<(String, String)> = serde_urlencoded::from_str(query.unwrap_or_default())
-            .map_err(|error| ProblemResponse::parameter("query", error))?;
+        Self(Vec::new()).with(
+            serde_urlencoded::from_str(query.unwrap_or_default())
+                .map_err(|error| ProblemResponse::parameter("query", error))?,
+        )
+    }
+
+    /// The parameters and those of a form.
+    pub(crate) fn with(mut self, more: Vec<(String, String)>) -> ApiResult<Self> {
+        self.0.extend(more);
+        let pairs = self.0;
         for (index, (name, _)) in pairs.iter().enumerate() {
             if pairs[..index].iter().any(|(earlier, _)| earlier == name) {
                 return Err(ProblemResponse::parameter(name, "is given twice"));
@@ -64,22 +71,12 @@ impl Parameters {
         Ok(count)
     }
 
-    /// Three numbers separated by commas.
-    pub(crate) fn take_vector(&mut self, name: &str) -> ApiResult<Option<DVec3>> {
-        Ok(self.take_numbers(name, "three finite numbers x,y,z")?.map(DVec3::from_array))
-    }
-
-    /// Four numbers w,x,y,z separated by commas, made one of length 1.
-    pub(crate) fn take_quaternion(&mut self, name: &str) -> ApiResult<Option<DQuat>> {
-        let Some([w, x, y, z]) = self.take_numbers(name, "four finite numbers w,x,y,z")? else {
-            return Ok(None);
-        };
-        let direction = DVec4::new(x, y, z, w).try_normalize();
-        let direction = direction.ok_or_else(|| ProblemResponse::parameter(name, "has no length"))?;
-        Ok(Some(DQuat::from_vec4(direction)))
-    }
-
-    fn take_numbers<const N: usize>(&mut self, name: &str, expected: &str) -> ApiResult<Option<[f64; N]>> {
+    /// `N` finite numbers separated by commas.
+    pub(crate) fn take_numbers<const N: usize>(
+        &mut self,
+        name: &str,
+        expected: &str,
+    ) -> ApiResult<Option<[f64; N]>> {
         let Some(text) = self.take(name) else { return Ok(None) };
         let numbers: Option<Vec<f64>> = text.split(',').map(|number| number.trim().parse().ok()).collect();
         let numbers = numbers.and_then(|numbers| <[f64; N]>::try_from(numbers).ok());

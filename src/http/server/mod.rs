@@ -1,6 +1,7 @@
 //! The accept loop, with what `axum::serve` lacks: a header timeout, a limit on connections, a timeout for clients that stop reading,
 //! and a deadline for draining.
 
+pub(super) mod cors;
 mod deadlines;
 pub(super) mod drain_body;
 pub(super) mod head;

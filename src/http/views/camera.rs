@@ -2,11 +2,9 @@
 
 use std::num::NonZeroU32;
 
-use glam::{DMat3, DVec3};
-
 use crate::{
     domain::{
-        Camera, CameraError, Intrinsics, NamedCamera, Pose, ProblemType, View, ViewError, ViewRequest,
+        Camera, CameraError, Intrinsics, NamedCamera, ProblemType, View, ViewError, ViewRequest,
         dataset::find_name,
     },
     http::{
@@ -15,77 +13,53 @@ use crate::{
     },
 };
 
-const DEFAULT_FOV_DEGREES: f64 = 60.0;
-const DEFAULT_WIDTH: u32 = 640;
-const DEFAULT_HEIGHT: u32 = 480;
 /// Frame names in the problem of an unknown one.
 const NAMES_SHOWN: usize = 3;
 
 /// A requested camera, before the dataset's cameras are read.
 #[derive(Debug)]
-pub(crate) struct CameraSpec(View);
+pub(crate) enum CameraSpec {
+    View(View),
+    /// The first to show ([`NamedCamera::first_to_show`]), at another size if one is given.
+    First {
+        width: Option<u32>,
+        height: Option<u32>,
+    },
+}
 
 impl CameraSpec {
-    /// Reads `frame`, or `position` with either `look_at` and `up` or `quat`, and `fov`, and `width`, `height`.
-    pub(crate) fn from_query(parameters: &mut Parameters) -> ApiResult<Self> {
-        let width = side(parameters, "width")?;
-        let height = side(parameters, "height")?;
-        let position = parameters.take_vector("position")?;
-        let look_at = parameters.take_vector("look_at")?;
-        let up = parameters.take_vector("up")?;
-        let quat = parameters.take_quaternion("quat")?;
-        let fov: Option<f64> = parameters.take_as("fov", "a number of degrees")?;
-        if let Some(name) = parameters.take("frame") {
-            let given = [
-                ("position", position.is_some()),
-                ("look_at", look_at.is_some()),
-                ("up", up.is_some()),
-                ("quat", quat.is_some()),
-                ("fov", fov.is_some()),
-            ];
-            if let Some((other, _)) = given.iter().find(|(_, is_given)| *is_given) {
-                return Err(ProblemResponse::parameter(
-                    other,
-                    "cannot be combined with frame, which has its own camera",
-                ));
-            }
-            return Ok(Self(View::Frame { name, width, height }));
+    /// Takes `frame`, `position`, `look_at`, `up`, `quat`, `fov`, `width` and `height` of a query.
+    pub(crate) fn take(parameters: &mut Parameters) -> ApiResult<ViewRequest> {
+        Ok(ViewRequest {
+            width: side(parameters, "width")?,
+            height: side(parameters, "height")?,
+            position: parameters.take_numbers("position", "three finite numbers x,y,z")?,
+            look_at: parameters.take_numbers("look_at", "three finite numbers x,y,z")?,
+            up: parameters.take_numbers("up", "three finite numbers x,y,z")?,
+            quat: parameters.take_numbers("quat", "four finite numbers w,x,y,z")?,
+            fov: parameters.take_as("fov", "a number of degrees")?,
+            frame: parameters.take("frame"),
+            ..ViewRequest::default()
+        })
+    }
+
+    /// The camera of a query. Without one it is the first to show.
+    pub(crate) fn from_query(request: ViewRequest) -> ApiResult<Self> {
+        if request.names_no_camera() {
+            let ViewRequest { width, height, .. } = request;
+            return Ok(Self::First { width, height });
         }
-        let needed = |name, value: Option<DVec3>| {
-            value.ok_or_else(|| {
-                ProblemResponse::parameter(name, "is needed, unless frame names a dataset camera")
-            })
-        };
-        let position = needed("position", position)?;
-        let pose = match quat {
-            Some(quat) => {
-                let given = [("look_at", look_at), ("up", up)];
-                if let Some((other, _)) = given.iter().find(|(_, value)| value.is_some()) {
-                    return Err(ProblemResponse::parameter(
-                        other,
-                        "cannot be combined with quat, which turns the camera",
-                    ));
-                }
-                let rotation = DMat3::from_quat(quat).transpose();
-                Pose::from_world_to_camera(rotation, -(rotation * position))
-            }
-            None => Pose::look_at(position, needed("look_at", look_at)?, up.unwrap_or(DVec3::Z)),
-        };
-        let pose = pose.map_err(impossible)?;
-        let fov = fov.unwrap_or(DEFAULT_FOV_DEGREES);
-        if !(fov > 0.0 && fov < 180.0) {
-            return Err(ProblemResponse::parameter("fov", format!("{fov} is not between 0 and 180 degrees")));
-        }
-        let (width, height) = (width.unwrap_or(DEFAULT_WIDTH), height.unwrap_or(DEFAULT_HEIGHT));
-        let intrinsics =
-            Intrinsics::from_horizontal_fov(fov.to_radians(), width, height).map_err(impossible)?;
-        Ok(Self(View::Camera(Camera { intrinsics, pose })))
+        View::try_from(request).map(Self::View).map_err(|error| match (&error, error.field()) {
+            (ViewError::Camera(error), _) => impossible_view(error.to_string()),
+            (_, Some((field, fault))) => ProblemResponse::parameter(field, fault),
+            (error, None) => invalid_view(error.to_string()),
+        })
     }
 
     /// Reads one entry of a list of views.
     pub(super) fn from_body(list: &str, index: usize, view: ViewRequest) -> ApiResult<Self> {
         match View::try_from(view) {
-            Ok(view) => Ok(Self(view)),
+            Ok(view) => Ok(Self::View(view)),
             Err(ViewError::Camera(error)) => Err(impossible_view(format!("{list}[{index}]: {error}"))),
             Err(error) => Err(invalid_view(format!("{list}[{index}]: {error}"))),
         }
@@ -93,22 +67,33 @@ impl CameraSpec {
 
     /// Whether the dataset's cameras are needed to resolve this.
     pub(super) fn needs_cameras(&self) -> bool {
-        matches!(self.0, View::Frame { .. })
+        !matches!(self, Self::View(View::Camera(_)))
     }
 
     /// The camera; `cameras` are the dataset's.
     pub(crate) fn resolve(self, cameras: &[NamedCamera]) -> ApiResult<Camera> {
-        match self.0 {
-            View::Camera(camera) => Ok(camera),
-            View::Frame { name, width, height } => {
-                let names: Vec<&str> = cameras.iter().map(|camera| camera.name.as_str()).collect();
-                let index = find_name(&names, &name).ok_or_else(|| no_frame(&name, &names))?;
-                let Camera { intrinsics, pose } = cameras[index].camera;
-                let intrinsics = scaled(intrinsics, width, height).map_err(impossible)?;
-                Ok(Camera { intrinsics, pose })
+        let (shown, width, height) = match self {
+            Self::View(View::Camera(camera)) => return Ok(camera),
+            Self::View(View::Frame { name, width, height }) => (named(&name, cameras)?, width, height),
+            Self::First { width, height } => {
+                (NamedCamera::first_to_show(cameras).ok_or_else(no_cameras)?, width, height)
             }
-        }
+        };
+        let Camera { intrinsics, pose } = shown.camera;
+        let intrinsics = scaled(intrinsics, width, height).map_err(impossible)?;
+        Ok(Camera { intrinsics, pose })
     }
+}
+
+/// The dataset's camera of this name.
+fn named<'a>(name: &str, cameras: &'a [NamedCamera]) -> ApiResult<&'a NamedCamera> {
+    let names: Vec<&str> = cameras.iter().map(|camera| camera.name.as_str()).collect();
+    let index = find_name(&names, name).ok_or_else(|| no_frame(name, &names))?;
+    Ok(&cameras[index])
+}
+
+fn no_cameras() -> ProblemResponse {
+    impossible_view("the dataset has no cameras; give position and look_at".to_owned())
 }
 
 /// A side in pixels, if it is given.

@@ -32,7 +32,7 @@ use crate::{
         rendering::{Picture, QueueSlot, RenderFrame, ViewKey, failed},
         state::AppState,
     },
-    picture::Apng,
+    picture::{Apng, WebpAnimation},
 };
 
 /// Pictures that are made before the client reads them, and at most one a core.
@@ -71,13 +71,15 @@ impl StopCondition {
 }
 
 /// The format of the body.
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 pub(super) enum BodyFormat {
     Multipart(Multipart),
     /// An animated PNG.
     Apng {
         frames_per_second: u16,
     },
+    /// The frames of an animated WebP, whose head is written once all are there.
+    WebpFrames(WebpAnimation),
 }
 
 /// The kinds of multipart body.
@@ -85,6 +87,8 @@ pub(super) enum BodyFormat {
 pub(super) enum Multipart {
     /// Separate files.
     Mixed,
+    /// Separate files, as fields of a form: browsers read such a body without a parser of their own.
+    Form,
     /// Each replaces the one before it.
     Replace,
 }
@@ -94,6 +98,7 @@ pub(super) enum Multipart {
 enum BodyEncoder {
     Multipart { kind: Multipart, boundary: Arc<str> },
     Apng(Apng),
+    WebpFrames(WebpAnimation),
 }
 
 /// A message to the response body; `End` distinguishes the end from a producer that has failed.
@@ -157,11 +162,12 @@ impl FrameStream {
     }
 
     fn encoder(&self, format: &BodyFormat) -> ApiResult<(BodyEncoder, HeaderValue)> {
-        match *format {
+        match format.clone() {
             BodyFormat::Multipart(kind) => {
                 let boundary = self.key("parts").to_string();
                 let media_type = match kind {
                     Multipart::Mixed => "multipart/mixed",
+                    Multipart::Form => "multipart/form-data",
                     Multipart::Replace => "multipart/x-mixed-replace",
                 };
                 let media_type = HeaderValue::try_from(format!("{media_type}; boundary={boundary}"));
@@ -173,6 +179,9 @@ impl FrameStream {
                 let frames = u32::try_from(self.frames.len()).unwrap_or(u32::MAX);
                 let file = Apng { frames, rate: frames_per_second, size: [size.width, size.height] };
                 Ok((BodyEncoder::Apng(file), HeaderValue::from_static("image/apng")))
+            }
+            BodyFormat::WebpFrames(file) => {
+                Ok((BodyEncoder::WebpFrames(file), HeaderValue::from_static("image/webp")))
             }
         }
     }
@@ -283,6 +292,10 @@ impl BodyEncoder {
                 let index = u32::try_from(index).unwrap_or(u32::MAX);
                 Ok(file.part(index, &picture.bytes).map_err(|error| failed(&error))?.into())
             }
+            Self::WebpFrames(file) => {
+                let index = u32::try_from(index).unwrap_or(u32::MAX);
+                Ok(file.part(index, &picture.bytes).map_err(|error| failed(&error))?.into())
+            }
         }
     }
 }
@@ -295,9 +308,14 @@ fn part(kind: Multipart, boundary: &str, picture: &Picture, index: u64, is_last:
     }
     let (media_type, length) = (picture.media_type(), picture.bytes.len());
     text.push_str(&format!("Content-Type: {media_type}\r\nContent-Length: {length}\r\n"));
-    if kind == Multipart::Mixed {
-        let extension = picture.extension();
-        text.push_str(&format!("Content-Disposition: inline; filename=\"{index}.{extension}\"\r\n"));
+    let extension = picture.extension();
+    let disposition = match kind {
+        Multipart::Mixed => Some("inline".to_owned()),
+        Multipart::Form => Some(format!("form-data; name=\"{index}\"")),
+        Multipart::Replace => None,
+    };
+    if let Some(disposition) = disposition {
+        text.push_str(&format!("Content-Disposition: {disposition}; filename=\"{index}.{extension}\"\r\n"));
     }
     if let Some(scale) = picture.depth_scale() {
         text.push_str(&format!("X-Depth-Scale: {scale}\r\n"));

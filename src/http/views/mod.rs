@@ -1,6 +1,8 @@
-//! Rendered views of a finished job's scene: one or several here, streams and animations in [`sequence`].
+//! Rendered views of a finished job's scene: one or several here, streams and animations in [`sequence`]; and the
+//! cameras of its dataset.
 
 mod camera;
+pub(super) mod cameras;
 mod frame_stream;
 pub(super) mod sequence;
 
@@ -25,12 +27,12 @@ use super::{
     rendering::{
         Admission, Format, FrameSpec, Output, Picture, PictureKind, RenderFrame, SettingError, Timing,
     },
-    request::{ApiJson, Etag, JsonBody, Parameters, not_modified},
+    request::{ApiJson, Etag, JsonBody, Parameters, not_modified, prefers},
     state::AppState,
 };
 use crate::{
     domain::{Caller, Camera, NamedCamera, ProblemType, ViewRequest},
-    store::{ArtifactKind, JobRecord},
+    store::{ArtifactKind, BlobRef, JobRecord},
 };
 
 const SERVER_TIMING: HeaderName = HeaderName::from_static("server-timing");
@@ -65,9 +67,10 @@ impl ViewQuery {
     pub(super) fn take(mut parameters: Parameters) -> ApiResult<Self> {
         let kind = take_kind(&mut parameters, Format::Png)?;
         let lambda = take_lambda(&mut parameters)?;
-        let spec = CameraSpec::from_query(&mut parameters)?;
+        let request = CameraSpec::take(&mut parameters)?;
+        // Before what is missing: a parameter that is no parameter was meant for it.
         parameters.finish()?;
-        Ok(Self { kind, lambda, spec })
+        Ok(Self { kind, lambda, spec: CameraSpec::from_query(request)? })
     }
 }
 
@@ -97,6 +100,7 @@ pub(super) async fn post(
     State(state): State<AppState>,
     OwnedJob(record): OwnedJob,
     caller: Caller,
+    headers: HeaderMap,
     ApiJson(request): ApiJson<RenderViewsRequest>,
 ) -> ApiResult {
     let RenderViewsRequest { views, output, format, quality, lambda } = request;
@@ -115,7 +119,9 @@ pub(super) async fn post(
     } else {
         let slot = state.view_renderer.enter(caller.key, Admission::Request(frames.len()))?;
         let stream = FrameStream { frames, rounds: 1, every: None, stop: StopCondition::WhenDone };
-        stream.answer(&state, slot, BodyFormat::Multipart(Multipart::Mixed)).await?
+        let is_form = prefers(&headers, "multipart/form-data", "multipart/mixed");
+        let kind = if is_form { Multipart::Form } else { Multipart::Mixed };
+        stream.answer(&state, slot, BodyFormat::Multipart(kind)).await?
     };
     response.headers_mut().insert(header::CACHE_CONTROL, HeaderValue::from_static("no-store"));
     Ok(response)
@@ -181,10 +187,14 @@ async fn cameras(state: &AppState, record: &JobRecord, specs: Vec<CameraSpec>) -
     specs.into_iter().map(|spec| spec.resolve(&named)).collect()
 }
 
-async fn dataset_cameras(state: &AppState, record: &JobRecord) -> ApiResult<Vec<NamedCamera>> {
+/// The artifact with the dataset's cameras.
+fn cameras_blob(record: &JobRecord) -> ApiResult<BlobRef> {
     let error = || ProblemResponse::no_file_yet(record.job.id, record.job.state.name());
-    let blob = record.artifact(ArtifactKind::Cameras).ok_or_else(error)?;
-    let content = state.blobs().read(blob.digest).await?;
+    record.artifact(ArtifactKind::Cameras).ok_or_else(error)
+}
+
+async fn dataset_cameras(state: &AppState, record: &JobRecord) -> ApiResult<Vec<NamedCamera>> {
+    let content = state.blobs().read(cameras_blob(record)?.digest).await?;
     serde_json::from_slice(&content).map_err(|error| ProblemResponse::internal(&error))
 }
 

@@ -1,11 +1,15 @@
 //! Streams and animations: around the scene, or along a path of views.
 
-use std::time::Duration;
+use std::{convert::Infallible, time::Duration};
 
 use axum::{
+    body::Body,
     extract::State,
     http::{HeaderMap, HeaderValue, header},
+    response::Response,
 };
+use bytes::Bytes;
+use futures_util::{StreamExt as _, stream};
 use serde::Deserialize;
 
 use super::{
@@ -13,7 +17,7 @@ use super::{
     camera::{impossible, impossible_view, invalid_view, scaled, side},
     cameras, check_pixels, check_sides, dataset_cameras,
     frame_stream::{BodyFormat, FrameStream, Multipart, StopCondition},
-    frames_of_any_size, specs, take_kind,
+    frames_of_any_size, specs, take_kind, too_large,
 };
 use crate::{
     domain::{Caller, Camera, Intrinsics, Orbit, ProblemType, Split, ViewRequest, camera_path},
@@ -21,10 +25,11 @@ use crate::{
         files::take_lambda,
         jobs::OwnedJob,
         problem::{ApiResult, ProblemResponse},
-        rendering::{Admission, Format, Output, PictureKind},
+        rendering::{Admission, AnimationFormat, Format, Output, PictureKind, failed},
         request::{ApiJson, Etag, JsonBody, Parameters, not_modified},
         state::AppState,
     },
+    picture::WebpAnimation,
     store::JobRecord,
 };
 
@@ -34,6 +39,8 @@ const MAX_RATE: u32 = 60;
 const MAX_ROUNDS: u32 = 1000;
 /// Most views of a path.
 const MAX_KEYS: usize = 64;
+/// Longest file that is sent only once it is whole.
+const MAX_WHOLE_BYTES: usize = 64 << 20;
 /// Largest default width of an orbit's pictures.
 const DEFAULT_WIDTH: u32 = 640;
 
@@ -73,14 +80,15 @@ pub(crate) async fn animation(
 ) -> ApiResult {
     let rate = parameters.take_count("fps", DEFAULT_RATE, MAX_RATE)?;
     let lambda = take_lambda(&mut parameters)?;
+    let format: AnimationFormat = parameters.take_as("format", "one of apng, webp")?.unwrap_or_default();
     let orbit = OrbitSpec::take(&mut parameters, state.limits.frames)?;
     parameters.finish()?;
-    let stream = animated(&state, &record, lambda, &orbit.cameras(&state, &record).await?)?;
-    let etag = Etag::new(stream.key(&format!("apng at {rate}")));
+    let stream = animated(&state, &record, lambda, &orbit.cameras(&state, &record).await?, format)?;
+    let etag = Etag::new(stream.key(&format!("{} at {rate}", format.name())));
     let mut response = if etag.is_in_if_none_match(&headers) {
         not_modified(&etag)
     } else {
-        shown(&state, &caller, stream, rate).await?
+        shown(&state, &caller, stream, rate, format).await?
     };
     cache_for_a_day(&mut response, &etag);
     Ok(response)
@@ -95,6 +103,7 @@ pub(crate) struct AnimationRequest {
     closed: bool,
     fps: Option<u32>,
     lambda: Option<f64>,
+    format: Option<AnimationFormat>,
 }
 
 impl JsonBody for AnimationRequest {
@@ -109,11 +118,12 @@ pub(crate) async fn animation_path(
     caller: Caller,
     ApiJson(request): ApiJson<AnimationRequest>,
 ) -> ApiResult {
-    let AnimationRequest { path, frames, closed, fps, lambda } = request;
+    let AnimationRequest { path, frames, closed, fps, lambda, format } = request;
+    let format = format.unwrap_or_default();
     let rate = count("fps", fps, DEFAULT_RATE, MAX_RATE)?;
     let path = PathSpec { keys: path, frames, closed };
-    let stream = animated(&state, &record, lambda, &path.cameras(&state, &record).await?)?;
-    let mut response = shown(&state, &caller, stream, rate).await?;
+    let stream = animated(&state, &record, lambda, &path.cameras(&state, &record).await?, format)?;
+    let mut response = shown(&state, &caller, stream, rate, format).await?;
     response.headers_mut().insert(header::CACHE_CONTROL, HeaderValue::from_static("no-store"));
     Ok(response)
 }
@@ -123,17 +133,58 @@ fn animated(
     record: &JobRecord,
     lambda: Option<f64>,
     cameras: &[Camera],
+    format: AnimationFormat,
 ) -> ApiResult<FrameStream> {
     check_pixels(cameras, state.limits.animation_pixels)?;
-    let kind = PictureKind { output: Output::Color, format: Format::Png, quality: 0 };
+    let kind = PictureKind { output: Output::Color, format: format.of_frames(), quality: 0 };
     let frames = frames_of_any_size(state, record, lambda, cameras, kind)?;
     Ok(FrameStream { frames, rounds: 1, every: None, stop: StopCondition::WhenDone })
 }
 
-async fn shown(state: &AppState, caller: &Caller, stream: FrameStream, rate: u32) -> ApiResult {
+async fn shown(
+    state: &AppState,
+    caller: &Caller,
+    stream: FrameStream,
+    rate: u32,
+    format: AnimationFormat,
+) -> ApiResult {
     let slot = state.view_renderer.enter(caller.key, Admission::Request(stream.frames.len()))?;
-    let frames_per_second = u16::try_from(rate).unwrap_or(u16::MAX);
-    stream.answer(state, slot, BodyFormat::Apng { frames_per_second }).await
+    let rate = u16::try_from(rate).unwrap_or(u16::MAX);
+    match format {
+        AnimationFormat::Apng => {
+            stream.answer(state, slot, BodyFormat::Apng { frames_per_second: rate }).await
+        }
+        AnimationFormat::Webp => {
+            let size = stream.frames[0].spec.camera.intrinsics;
+            let file = WebpAnimation { rate, size: [size.width, size.height] };
+            let frames = stream.answer(state, slot, BodyFormat::WebpFrames(file.clone())).await?;
+            whole(&file, frames).await
+        }
+    }
+}
+
+/// The response with the whole file, which begins with its length, once all frames are there.
+async fn whole(file: &WebpAnimation, frames: Response) -> ApiResult {
+    let (mut head, body) = frames.into_parts();
+    let (mut parts, mut length) = (vec![Bytes::new()], 0);
+    let mut body = body.into_data_stream();
+    while let Some(part) = body.next().await {
+        let part = part.map_err(|error| failed(&error))?;
+        length += part.len();
+        if length > MAX_WHOLE_BYTES {
+            return Err(too_large(format!(
+                "the file is longer than {MAX_WHOLE_BYTES} bytes; ask for fewer or smaller pictures, or for apng, which is sent as it is rendered"
+            )));
+        }
+        parts.push(part);
+    }
+    let begin = file.head(length).map_err(|error| failed(&error))?;
+    head.headers.insert(header::CONTENT_LENGTH, (begin.len() + length).into());
+    parts[0] = begin.into();
+    Ok(Response::from_parts(
+        head,
+        Body::from_stream(stream::iter(parts.into_iter().map(Ok::<_, Infallible>))),
+    ))
 }
 
 /// A number of a JSON body from 1 to `max`, or `default`.

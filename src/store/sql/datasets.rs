@@ -9,7 +9,8 @@ use super::{
 use crate::{
     domain::{DatasetId, Digest, ProjectId},
     store::{
-        DatasetCreation, DatasetDeletion, DatasetPageKey, DatasetRecord, NewDataset, StoreError, StoreFuture,
+        BlobRef, DatasetCreation, DatasetDeletion, DatasetPageKey, DatasetRecord, JobDataset, NewDataset,
+        StoreError, StoreFuture,
     },
 };
 use jiff::Timestamp;
@@ -20,6 +21,10 @@ const FOUND: u16 = 200;
 /// Clears the reference of every job of the scene `?`.
 pub(super) const CLEAR_SCENE: &str = "UPDATE jobs SET scene = NULL, version = version + 1 WHERE scene = ?";
 
+/// Deletes the dataset `?1` unless it is kept or has jobs.
+pub(super) const REMOVE_UNUSED: &str =
+    "DELETE FROM scenes WHERE id = ?1 AND kept = ?2 AND NOT EXISTS (SELECT 1 FROM jobs WHERE scene = ?1)";
+
 /// A row of `scenes` joined with its dataset's `bytes`.
 fn dataset(row: &Row) -> Result<DatasetRecord, StoreError> {
     Ok(DatasetRecord {
@@ -28,6 +33,7 @@ fn dataset(row: &Row) -> Result<DatasetRecord, StoreError> {
         name: row.try_get("name")?,
         dataset: blob(row, "dataset")?,
         summary: from_json("summary", row.try_get("summary")?)?,
+        kept: row.try_get("kept")?,
         version: integer(row, "version")?,
         created_at: instant("created_at", row.try_get("created_at")?)?,
     })
@@ -54,6 +60,48 @@ async fn select_by_archive(
     .bind_all(values![archive.to_string(), project.to_string()])
     .optional(connection, dataset)
     .await
+}
+
+/// The dataset of the archive that a job came with: the project's, or a new one that nothing but its jobs keeps. The totals of the project
+/// are locked.
+pub(super) async fn of_job(
+    tx: &mut Transaction,
+    project: ProjectId,
+    archive: BlobRef,
+    own: &JobDataset,
+    now: Timestamp,
+) -> Result<DatasetId, StoreError> {
+    if let Some(known) = select_by_archive(tx, project, archive.digest).await? {
+        return Ok(known.id);
+    }
+    insert_blob(tx, archive, now).await?;
+    query(
+        "INSERT INTO scenes (id, project, dataset, name, summary, created_at, kept) VALUES (?, ?, ?, NULL, ?, ?, ?)",
+    )
+    .bind_all(values![own.id.to_string(), project.to_string(), archive.digest.to_string()])
+    .bind_all(values![json(&own.summary)?, micros(now), false])
+    .execute(tx)
+    .await?;
+    Ok(own.id)
+}
+
+/// Deletes a dataset that nothing but its jobs kept, and that has none any more. The totals of its project are locked.
+pub(super) async fn remove_unused(tx: &mut Transaction, id: DatasetId) -> Result<(), StoreError> {
+    query(REMOVE_UNUSED).bind_all(values![id.to_string(), false]).execute(tx).await?;
+    Ok(())
+}
+
+/// Keeps a dataset that came with a job, under the name that the request states.
+async fn keep(
+    tx: &mut Transaction,
+    id: DatasetId,
+    name: Option<String>,
+) -> Result<DatasetRecord, StoreError> {
+    query("UPDATE scenes SET kept = ?, name = ?, version = version + 1 WHERE id = ?")
+        .bind_all(values![true, name, id.to_string()])
+        .execute(&mut *tx)
+        .await?;
+    select(tx, id).await?.ok_or_else(|| sqlx::Error::RowNotFound.into())
 }
 
 impl Store {
@@ -95,16 +143,18 @@ impl Store {
                 .execute(&mut *tx)
                 .await?;
         }
-        if let (Some(intent), Some(_)) = (&new.intent, &known) {
-            idempotency::amend(tx, intent, FOUND, &id.to_string()).await?;
+        if let (Some(intent), Some(known)) = (&new.intent, &known) {
+            let status = if known.kept { FOUND } else { CREATED };
+            idempotency::amend(tx, intent, status, &id.to_string()).await?;
         }
         Ok(match known {
-            Some(known) => DatasetCreation::Existing(known),
+            Some(known) if known.kept => DatasetCreation::Existing(known),
+            Some(known) => DatasetCreation::Created(keep(tx, known.id, new.name).await?),
             None => DatasetCreation::Created(select(tx, id).await?.ok_or(sqlx::Error::RowNotFound)?),
         })
     }
 
-    /// Adds a dataset, unless its project has one with the same archive.
+    /// Adds a dataset, unless its project has one with the same archive. One that came with a job is kept from then on.
     ///
     /// # Errors
     /// [`StoreError::QuotaExceeded`], [`StoreError::IdempotencyKeyUsed`].

@@ -1,15 +1,16 @@
 //! Changes to jobs outside of attempts: expired deadlines, retries, deletion. Each function runs within its caller's transaction.
 
 use super::{
-    db::{Transaction, query},
+    datasets,
+    db::{Transaction, query, values},
     locks,
     queue::{JobEnd, end_job},
-    rows::{self, micros},
+    rows::{self, json, micros},
     select_job,
 };
 use crate::{
     domain::{JobId, JobState},
-    store::{Deletion, NewJob, RetryRequest, StoreError, retry::deadline_exceeded},
+    store::{Deletion, JobChange, JobUpdate, NewJob, RetryRequest, StoreError, retry::deadline_exceeded},
 };
 use jiff::Timestamp;
 
@@ -39,15 +40,21 @@ pub(super) async fn retry_of(
     request: RetryRequest,
 ) -> Result<Option<Result<NewJob, JobState>>, StoreError> {
     let Some(record) = select_job(connection, id).await? else { return Ok(None) };
-    if !matches!(record.job.state, JobState::Failed | JobState::Cancelled) {
+    let RetryRequest { id: new, key, from_checkpoint, options, change, deadline_at, intent } = request;
+    let is_retryable = match record.job.state {
+        JobState::Failed | JobState::Cancelled => true,
+        // The same job again would make the same file.
+        JobState::Succeeded => options.is_some(),
+        JobState::Queued | JobState::Running => false,
+    };
+    if !is_retryable {
         return Ok(Some(Err(record.job.state)));
     }
-    let RetryRequest { id: new, key, from_checkpoint, deadline_at, intent } = request;
     Ok(Some(Ok(NewJob {
         project: record.project,
         key,
-        name: record.name,
-        metadata: record.metadata,
+        name: change.name.unwrap_or(record.name),
+        metadata: change.metadata.unwrap_or(record.metadata),
         dataset_id: record.dataset_id,
         retry_of: Some(id),
         deadline_at,
@@ -56,8 +63,33 @@ pub(super) async fn retry_of(
         intent,
         needs: record.needs,
         photographs: record.photographs,
-        ..NewJob::new(new, record.job.options, record.dataset)
+        ..NewJob::new(new, options.unwrap_or(record.job.options), record.dataset)
     })))
+}
+
+/// Changes a job's name and labels, if it has the requested version; `None` if there is no such job.
+pub(super) async fn change(
+    connection: &mut Transaction,
+    id: JobId,
+    change: JobChange,
+    version: Option<u64>,
+) -> Result<Option<JobUpdate>, StoreError> {
+    locks::job(connection, id).await?;
+    let Some(record) = select_job(connection, id).await? else { return Ok(None) };
+    if version.is_some_and(|version| version != record.job.version) {
+        return Ok(Some(JobUpdate::VersionMismatch));
+    }
+    let name = change.name.unwrap_or_else(|| record.name.clone());
+    let metadata = change.metadata.unwrap_or_else(|| record.metadata.clone());
+    if (&name, &metadata) == (&record.name, &record.metadata) {
+        return Ok(Some(JobUpdate::Changed(Box::new(record))));
+    }
+    query("UPDATE jobs SET name = ?, metadata = ?, version = version + 1 WHERE id = ?")
+        .bind_all(values![&name, json(&metadata)?, id.to_string()])
+        .execute(&mut *connection)
+        .await?;
+    let changed = select_job(connection, id).await?.ok_or(sqlx::Error::RowNotFound)?;
+    Ok(Some(JobUpdate::Changed(Box::new(changed))))
 }
 
 /// Deletes a job that has ended, with everything but its blobs.
@@ -85,9 +117,15 @@ pub(super) async fn remove(connection: &mut Transaction, id: JobId) -> Result<u6
         .bind(id.to_string())
         .execute(&mut *connection)
         .await?;
-    query("DELETE FROM jobs WHERE id = ? AND finished_at IS NOT NULL")
+    let dataset = query("SELECT scene FROM jobs WHERE id = ?").bind(id.to_string());
+    let dataset = dataset.fetch_optional(&mut *connection).await?;
+    let dataset = dataset.map(|row| rows::dataset_id(&row)).transpose()?.flatten();
+    let removed = query("DELETE FROM jobs WHERE id = ? AND finished_at IS NOT NULL")
         .bind(id.to_string())
-        .execute(connection)
-        .await
-        .map_err(Into::into)
+        .execute(&mut *connection)
+        .await?;
+    if let Some(dataset) = dataset {
+        datasets::remove_unused(connection, dataset).await?;
+    }
+    Ok(removed)
 }

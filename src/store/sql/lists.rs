@@ -218,6 +218,7 @@ mod tests {
             retention::EXPIRED_MESSAGES,
             "UPDATE jobs SET retry_of = NULL, version = version + 1 WHERE retry_of = ?",
             datasets::CLEAR_SCENE,
+            datasets::REMOVE_UNUSED,
             "DELETE FROM scenes WHERE id = ?",
         ] {
             for step in plan(&store, statement).await {

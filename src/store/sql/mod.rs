@@ -50,8 +50,8 @@ use serde_json::json;
 
 use super::{
     Artifact, AttemptRecord, BlobRef, Cancellation, ChangeKind, Changes, Claim, Claimant, Deletion,
-    Heartbeat, JobFilter, JobRecord, Lease, NewJob, Outcome, PageKey, QueuePolicy, RetryOutcome,
-    RetryRequest, StoreError, StoreFuture, WorkerDeath, leases::LeaseWatch,
+    Heartbeat, JobChange, JobFilter, JobRecord, JobUpdate, Lease, NewJob, Outcome, PageKey, QueuePolicy,
+    RetryOutcome, RetryRequest, StoreError, StoreFuture, WorkerDeath, leases::LeaseWatch,
 };
 use crate::domain::{
     Clock, Event, EventKind, FailurePoint, JobId, JobState, Phase, Preparation, Progress,
@@ -163,6 +163,8 @@ impl Store {
             idempotency::remember(tx, intent, CREATED, &id, keep, now).await?;
         }
         locks::project(tx, new.project).await?;
+        // By the archive that was sent: another may take its place.
+        let sent = new.dataset;
         if new.needs > Preparation::None
             && let Some(posed) = queue::posed_dataset(tx, new.project, new.dataset.digest).await?
         {
@@ -186,6 +188,9 @@ impl Store {
             return Err(StoreError::NoDataset(dataset));
         }
         insert_blob(tx, new.dataset, now).await?;
+        if let Some(own) = &new.own_dataset {
+            new.dataset_id = Some(datasets::of_job(tx, new.project, sent, own, now).await?);
+        }
         query(
             "INSERT INTO jobs (id, project, owner, name, metadata, scene, retry_of, deadline_at, dataset, options, state, phase,
                  progress, priority, run_after, max_attempts, from_checkpoint, created_at, needs, photographs)
@@ -366,8 +371,19 @@ impl Store {
         })
     }
 
-    /// Queues a new job with the options of this one, which must have failed or been cancelled, for the same project; `None` if there is
-    /// no such job. Errors as in [`Store::create_job`].
+    /// Changes a job's name and labels, if it has the requested version; `None` if there is no such job.
+    pub fn change_job(
+        &self,
+        id: JobId,
+        change: JobChange,
+        version: Option<u64>,
+    ) -> StoreFuture<'_, Option<JobUpdate>> {
+        self.call("change_job")
+            .run(self.write(async move |tx, _| job_changes::change(tx, id, change, version).await))
+    }
+
+    /// Queues a new job of this one's dataset for the same project, with its options or others. It must have failed or been cancelled, or
+    /// have succeeded with other options; `None` if there is no such job. Errors as in [`Store::create_job`].
     pub fn retry_job(&self, id: JobId, request: RetryRequest) -> StoreFuture<'_, Option<RetryOutcome>> {
         self.call("retry_job").run(self.write(async move |tx, now| {
             Ok(match job_changes::retry_of(tx, id, request).await? {

@@ -5,8 +5,8 @@ use std::{io, str::FromStr, time::Duration};
 use super::db::Row;
 use crate::{
     domain::{
-        Digest, EndpointId, Event, EventKind, ExportFidelity, Job, JobId, JobState, Preparation, ProjectId,
-        SeriesPoint, WebhookEvent, WebhookSecret,
+        DatasetId, Digest, EndpointId, Event, EventKind, ExportFidelity, Job, JobId, JobState, Preparation,
+        ProjectId, SeriesPoint, WebhookEvent, WebhookSecret,
     },
     store::{
         Artifact, ArtifactKind, AttemptRecord, BlobRef, DeliveryRecord, DueDelivery, EndpointRecord,
@@ -122,6 +122,11 @@ fn optional_document<T: DeserializeOwned>(row: &Row, column: &'static str) -> Re
 
 pub(super) fn blob(row: &Row, digest: &'static str) -> Result<BlobRef, StoreError> {
     Ok(BlobRef { digest: parsed(digest, row.try_get(digest)?)?, bytes: integer(row, "bytes")? })
+}
+
+/// The dataset of a row of `jobs`.
+pub(super) fn dataset_id(row: &Row) -> Result<Option<DatasetId>, StoreError> {
+    optional_parsed(row, "scene")
 }
 
 pub(super) fn job_id(row: &Row) -> Result<JobId, StoreError> {

@@ -492,10 +492,19 @@ async fn a_large_dataset_goes_in_parts_and_becomes_a_job_of_a_scene() {
         assert_eq!(job["options"]["without"], json!(["knn", "masks"]));
         assert_eq!(job["priority"], -3);
     }
+    let uploads = async || {
+        let metrics = server.get("/metrics").await.expect(200);
+        let text = String::from_utf8_lossy(&metrics.body).into_owned();
+        let of_uploads = |line: &&str| line.contains("_count{") && line.contains("route=\"/v1/uploads\"");
+        text.lines().filter(of_uploads).map(str::to_owned).collect::<Vec<_>>()
+    };
+    let before = uploads().await;
+    assert!(!before.is_empty());
     let line = line!["submit", zip, "--server", url, "--part-bytes", bytes.to_string(), "--json"];
     let named = line!["--name", "a garden", "--metadata", "site=north", "--metadata", "note=a=b&c, d"];
     let whole = succeeded(&run([line, named].concat()).await);
-    assert!(whole["scene_id"].is_null(), "one part is one request");
+    assert_eq!(uploads().await, before, "one part is one request");
+    assert!(whole["dataset_id"].is_string(), "{whole:#}");
     assert_eq!(whole["name"], "a garden");
     assert_eq!(whole["metadata"], json!({ "site": "north", "note": "a=b&c, d" }));
 }

@@ -120,7 +120,7 @@ fn wrong_usage_is_status_2_and_says_what_is_wrong() {
         (&["cancel", "17"], "not a job id"),
         (&["retry", JOB, "--deadline", "soon"], "--deadline"),
         (&["delete"], "JOB"),
-        (&["view", JOB, "-o", "o.png"], "--frame"),
+        (&["view", JOB, "--frame", "a", "--position", "1,2,3", "-o", "o.png"], "--frame"),
         (&["view", JOB, "--position", "1,2,3", "-o", "o.png"], "--look-at"),
         (&["view", JOB, "--frame", "a", "-o", "o.gif"], ".png"),
         (&["export", "f", "-o", "o"], "--format"),
@@ -133,6 +133,22 @@ fn wrong_usage_is_status_2_and_says_what_is_wrong() {
         assert!(text(&output.stderr).contains(word), "{arguments:?}: {}", text(&output.stderr));
         assert!(output.stdout.is_empty(), "{arguments:?}");
     }
+}
+
+#[test]
+fn a_refused_value_of_a_variable_is_blamed_on_the_variable() {
+    let serve = |flags: &[&str]| {
+        let mut command = program::command();
+        command.args(["serve", "--print-config"]).args(flags).env("TCGS_WORKERS", "abc");
+        command.output().expect("runs")
+    };
+    let output = serve(&[]);
+    assert_eq!(output.status.code(), Some(2));
+    let said = text(&output.stderr);
+    assert!(said.contains("the environment variable TCGS_WORKERS") && said.contains("'abc'"), "{said}");
+    let output = serve(&["--workers", "xyz"]);
+    let typed = text(&output.stderr);
+    assert!(!typed.contains("TCGS_WORKERS") && typed.contains("'xyz'"), "{typed}");
 }
 
 #[test]

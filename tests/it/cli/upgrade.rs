@@ -173,7 +173,7 @@ async fn a_service_that_cannot_start_changes_no_schema_and_makes_no_key() {
     let free = ["--listen", "127.0.0.1:0"];
     for (data, earlier) in [(&with_keys, EARLIER), (&without_keys, 1)] {
         for (flags, named) in [
-            (&["--listen", &*taken][..], "cannot listen"),
+            (&["--listen", &*taken][..], "another program listens on"),
             (&[&free[..], &["--adapter", "there is none"]].concat(), "there is none"),
         ] {
             let serve = ["serve", "--workers", "0"];

@@ -122,7 +122,7 @@ async fn the_session_with_curl_goes_as_it_is_written() {
     let jobs =
         server.send("GET", "/v1/jobs", |request| request.bearer_auth(&key.key)).await.expect(200).json();
     let jobs = jobs["jobs"].as_array().expect("jobs").len();
-    assert_eq!(jobs, 1, "of two jobs one was deleted");
+    assert_eq!(jobs, 2, "of three jobs one was deleted");
     for (name, begin) in [
         ("frame.png", &b"\x89PNG"[..]),
         ("pose.webp", b"RIFF"),

@@ -58,7 +58,10 @@ pub(super) async fn bodies_that_break_off_or_dawdle_are_given_up(coverage: Cover
     let key = format!("/v1/keys/{}", ProjectId::DEFAULT);
     for (method, path, media_type) in [
         ("POST", "/v1/jobs".to_owned(), "application/zip"),
+        ("POST", "/v1/jobs".to_owned(), "multipart/form-data; boundary=b"),
         ("POST", "/v1/scenes".to_owned(), "application/zip"),
+        ("POST", "/v1/scenes".to_owned(), "multipart/form-data; boundary=b"),
+        ("PATCH", job.clone(), "application/json"),
         ("POST", "/v1/scenes".to_owned(), "application/json"),
         ("POST", format!("{job}/views"), "application/json"),
         ("POST", format!("{job}/retry"), "application/json"),

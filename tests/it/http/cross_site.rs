@@ -206,7 +206,7 @@ async fn pages_of_other_sites_change_and_read_nothing() {
         "nothing has changed"
     );
     for (path, list, count) in
-        [("/v1/jobs", "jobs", 1), ("/v1/scenes", "scenes", 0), ("/v1/webhook-endpoints", "endpoints", 0)]
+        [("/v1/jobs", "jobs", 1), ("/v1/scenes", "scenes", 1), ("/v1/webhook-endpoints", "endpoints", 0)]
     {
         let listed = service.get(path).await.expect(200).json();
         assert_eq!(listed[list].as_array().map(Vec::len), Some(count), "{path}: {listed}");
@@ -334,4 +334,77 @@ async fn metrics_that_other_machines_can_reach_are_served_under_any_name() {
     let port = server.metrics_address.expect("an address").port();
     let head = "GET /metrics HTTP/1.1\r\nHost: tcgs.example\r\n";
     send(&format!("127.0.0.1:{port}"), head, b"").await.expect(200, "a scraper");
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn pages_of_allowed_origins_use_the_api() {
+    const PAGE: &str = "https://app.example";
+    let tune = |config: &mut tcgs::http::HttpConfig| {
+        let origins = [PAGE, "http://localhost:5173"].map(|origin| origin.parse().expect("an origin"));
+        config.limits.access.allowed_origins = tcgs::http::AllowedOrigins(origins.to_vec());
+    };
+    let server =
+        Server::start_with(&Coverage::default(), Setup { tune, worker: false, ..Setup::default() }).await;
+    let key = server.key(&[Scope::Read, Scope::JobsWrite]).await;
+    let preflight = async |server: &Server, path: &str, origin: &str| {
+        let open = server.open("OPTIONS", path, |request| {
+            let request = request.header("origin", origin).header("sec-fetch-site", "cross-site");
+            let request = request.header("access-control-request-method", "PATCH");
+            request.header("access-control-request-headers", "authorization,content-type,idempotency-key")
+        });
+        open.await
+    };
+    let header = |answer: &reqwest::Response, name: &str| -> String {
+        answer
+            .headers()
+            .get_all(name)
+            .iter()
+            .map(|value| value.to_str().expect("ASCII"))
+            .collect::<Vec<_>>()
+            .join(",")
+    };
+    for path in ["/v1/jobs", "/v1/uploads", "/v1/jobs/0190a5d8-0000-7000-8000-000000000000"] {
+        let allowed = preflight(&server, path, PAGE).await;
+        assert_eq!(allowed.status(), 200, "{path}");
+        assert_eq!(header(&allowed, "access-control-allow-origin"), PAGE);
+        assert!(header(&allowed, "access-control-allow-methods").contains("PATCH"));
+        assert_eq!(
+            header(&allowed, "access-control-allow-headers"),
+            "authorization,content-type,idempotency-key"
+        );
+        assert_eq!(header(&allowed, "access-control-max-age"), "7200");
+        assert_eq!(header(&allowed, "access-control-allow-credentials"), "");
+        let refused = preflight(&server, path, "https://evil.example").await;
+        assert_eq!(refused.status(), 403, "{path}");
+        assert_eq!(header(&refused, "access-control-allow-origin"), "");
+    }
+    let list = async |origin: &str, key: Option<&str>| {
+        let open = server.open("GET", "/v1/jobs", |request| {
+            let request = request.header("origin", origin).header("sec-fetch-site", "cross-site");
+            key.into_iter().fold(request, |request, key| request.bearer_auth(key))
+        });
+        open.await
+    };
+    let read = list(PAGE, Some(&key.key)).await;
+    assert_eq!(
+        (read.status().as_u16(), header(&read, "access-control-allow-origin")),
+        (200, PAGE.to_owned())
+    );
+    assert_eq!(header(&read, "access-control-expose-headers"), "*");
+    assert!(header(&read, "vary").to_lowercase().contains("origin"));
+    let keyless = list(PAGE, None).await;
+    assert_eq!(
+        (keyless.status().as_u16(), header(&keyless, "access-control-allow-origin")),
+        (401, PAGE.to_owned())
+    );
+    let foreign = list("https://evil.example", Some(&key.key)).await;
+    assert_eq!(header(&foreign, "access-control-allow-origin"), "");
+    // The operation of tus is not taken for a preflight.
+    let options =
+        server.open("OPTIONS", "/v1/uploads", |request| request.header("origin", PAGE).bearer_auth(&key.key));
+    assert_eq!(options.await.status(), 403, "the scope is missing");
+
+    let closed = Server::start_with(&Coverage::default(), Setup { worker: false, ..Setup::default() }).await;
+    let off = preflight(&closed, "/v1/jobs", PAGE).await;
+    assert_eq!((off.status().as_u16(), header(&off, "access-control-allow-origin")), (403, String::new()));
 }

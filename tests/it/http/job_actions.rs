@@ -109,8 +109,8 @@ pub(super) async fn jobs_are_listed_by_state_scene_and_model(coverage: Coverage)
     let scene = scene(&server, "succeed").await;
     let made = |answer: crate::support::server::Answer| answer.expect(201).json()["id"].clone();
     let of_scene = made(server.post_json("/v1/jobs", &json!({ "scene_id": scene })).await);
-    let baseline = made(server.upload("?model=3dgs", "succeed").await);
-    let cancelled = made(server.upload("", "succeed").await);
+    let baseline = made(server.upload("?model=3dgs", "succeed as a baseline").await);
+    let cancelled = made(server.upload("", "succeed later").await);
     let path = format!("/v1/jobs/{}/cancel", cancelled.as_str().expect("an id"));
     server.post(&path).await.expect(200);
     let ids = |page: &Value| -> Vec<Value> {
@@ -278,7 +278,9 @@ pub(super) async fn a_failed_or_cancelled_job_is_retried_as_a_new_one(coverage: 
     for (fields, named) in [
         (json!({ "deadline_s": 0 }), "deadline_s"),
         (json!({ "from_checkpoint": "yes" }), "body"),
-        (json!({ "seed": 1 }), "body"),
+        (json!({ "from_checkpoint": true, "seed": 1 }), "from_checkpoint"),
+        (json!({ "name": "" }), "name"),
+        (json!({ "metadata": { "": "x" } }), "metadata"),
     ] {
         let detail = server.post_json(&retry, &fields).await.expect_problem(422, "invalid-parameter");
         assert!(detail.starts_with(named), "{detail}");
@@ -295,6 +297,140 @@ pub(super) async fn a_failed_or_cancelled_job_is_retried_as_a_new_one(coverage: 
         server.post(&retry).await.expect(status);
         server.send("DELETE", &path, |request| request).await.expect(status);
         server.faults.set(None);
+    }
+}
+
+pub(super) async fn a_job_is_repeated_with_other_options(coverage: Coverage) {
+    let server = Server::start(&coverage).await;
+    let first =
+        server.upload("?seed=9&lambda=0.004&priority=3&name=statue&metadata[site]=hall", "succeed").await;
+    let first = first.expect(201);
+    let path = first.header("location").to_owned();
+    server.reaches(&path, "succeeded").await;
+    let retry = format!("{path}/retry");
+    for same in [json!({}), json!({ "lambda": 0.004, "seed": 9 }), json!({ "name": "other" })] {
+        let detail = server.post_json(&retry, &same).await.expect_problem(409, "job-not-retryable");
+        assert!(detail.contains("only with other options"), "{detail}");
+    }
+    let again =
+        server.post_json(&retry, &json!({ "lambda": 0.002, "from_checkpoint": false })).await.expect(201);
+    let new = again.json();
+    let before = first.json();
+    assert_eq!((&new["options"]["lambda"], &new["options"]["seed"]), (&json!(0.002), &json!(9)));
+    for kept in ["dataset", "dataset_id", "priority", "name", "metadata", "project_id"] {
+        assert_eq!(new[kept], before[kept], "{kept}");
+    }
+    assert_eq!(new["retry_of"], before["id"]);
+    server.reaches(again.header("location"), "succeeded").await;
+
+    let renamed = json!({ "lambda": null, "iterations": 7, "name": null, "metadata": { "try": "3" } });
+    let third = server.post_json(&retry, &renamed).await.expect(201).json();
+    assert_eq!((&third["options"]["lambda"], &third["options"]["iterations"]), (&Value::Null, &json!(7)));
+    assert_eq!((&third["name"], &third["metadata"]), (&Value::Null, &json!({ "try": "3" })));
+    for (fields, named) in [
+        (json!({ "color": "red" }), "color"),
+        (json!({ "model": "3dgs" }), "lambda"),
+        (json!({ "iterations": 0 }), "iterations"),
+    ] {
+        let detail = server.post_json(&retry, &fields).await.expect_problem(422, "invalid-option");
+        assert!(detail.contains(named), "{fields}: {detail}");
+    }
+
+    let idle = Server::start_with(&coverage, Setup { worker: false, ..Setup::default() }).await;
+    let queued = idle.create("succeed").await;
+    let detail = idle.post_json(&format!("{queued}/retry"), &json!({ "seed": 1 })).await;
+    let detail = detail.expect_problem(409, "job-not-retryable");
+    assert!(detail.contains("queued"), "{detail}");
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_checkpoint_of_other_options_is_not_resumed() {
+    let server = Server::start_with(&Coverage::default(), Setup { worker: false, ..Setup::default() }).await;
+    let path = server.create("succeed").await;
+    let lease = server.store.claim("test").await.expect("an answer").expect("a job").lease;
+    let lost = Problem::new(ProblemType::DeviceLost, "as the test wants it");
+    server.store.finish(&lease, Outcome::Failed(lost)).await.expect("ended");
+    for (body, resumes) in [(json!({ "seed": 5 }), false), (json!({ "seed": 0, "name": "again" }), true)] {
+        server.post_json(&format!("{path}/retry"), &body).await.expect(201);
+        let claim = server.store.claim("test").await.expect("an answer").expect("the retry");
+        assert_eq!(claim.resume_from, resumes.then_some(lease.job), "{body}");
+        let lost = Problem::new(ProblemType::DeviceLost, "as the test wants it");
+        server.store.finish(&claim.lease, Outcome::Failed(lost)).await.expect("ended");
+    }
+}
+
+pub(super) async fn the_name_and_labels_of_a_job_are_changed(coverage: Coverage) {
+    let server = Server::start_with(&coverage, Setup { worker: false, ..Setup::default() }).await;
+    let made = server.upload("?name=statue&metadata[site]=hall&metadata[run]=1", "succeed").await.expect(201);
+    let path = made.header("location").to_owned();
+    let patch = |body: Value, tag: Option<String>| {
+        server.send("PATCH", &path, move |request| {
+            let request = request.json(&body);
+            tag.into_iter().fold(request, |request, tag| request.header("if-match", tag))
+        })
+    };
+    let tag = made.header("etag").to_owned();
+    let changed = patch(json!({ "name": "garden" }), Some(tag.clone())).await.expect(200);
+    assert_ne!(changed.header("etag"), tag);
+    let mut expected = made.json();
+    expected["name"] = json!("garden");
+    assert_eq!(changed.json(), expected, "all else stays");
+    let detail = patch(json!({ "name": "late" }), Some(tag)).await.expect_problem(412, "precondition-failed");
+    assert!(detail.contains("has changed"), "{detail}");
+    let tagged = patch(json!({ "metadata": { "site": "north" } }), None).await.expect(200).json();
+    assert_eq!((&tagged["name"], &tagged["metadata"]), (&json!("garden"), &json!({ "site": "north" })));
+    let current = server.get(&path).await.expect(200);
+    let same = patch(json!({ "name": "garden" }), None).await.expect(200);
+    assert_eq!(same.header("etag"), current.header("etag"), "nothing changed");
+    let found = server.get("/v1/jobs?metadata[site]=north&name=garden").await.expect(200).json();
+    assert_eq!(found["jobs"], json!([current.json()]));
+    let bare = patch(json!({ "name": null, "metadata": null }), None).await.expect(200).json();
+    assert_eq!((&bare["name"], &bare["metadata"]), (&Value::Null, &json!({})));
+    for (body, named) in [
+        (json!({ "name": "" }), "name"),
+        (json!({ "metadata": { "a": 1 } }), "body"),
+        (json!({ "metadata": { "": "x" } }), "metadata"),
+        (json!({ "state": "succeeded" }), "body"),
+        (json!([]), "body"),
+    ] {
+        let detail = patch(body.clone(), None).await.expect_problem(422, "invalid-parameter");
+        assert!(detail.starts_with(named), "{body}: {detail}");
+    }
+    let raw = |media_type: &'static str, body: String| {
+        server.send("PATCH", &path, move |request| request.header("content-type", media_type).body(body))
+    };
+    raw("application/json", "{\"na".into()).await.expect_problem(400, "malformed-json");
+    raw("text/plain", "{}".into()).await.expect_problem(415, "unsupported-media-type");
+    raw("application/json", " ".repeat(2 << 20)).await.expect_problem(413, "body-too-large");
+}
+
+pub(super) async fn a_client_names_the_fields_that_it_wants(coverage: Coverage) {
+    let server = Server::start(&coverage).await;
+    let path = server.succeeded().await;
+    let whole = server.get(&path).await.expect(200).json();
+    for (name, value) in whole.as_object().expect("an object") {
+        let part = server.get(&format!("{path}?fields={name}")).await.expect(200).json();
+        assert_eq!(part, json!({ name: value }));
+    }
+    let part = server.get(&format!("{path}?fields=id,metrics.test.psnr,progress.step")).await.expect(200);
+    let psnr = &whole["metrics"]["test"]["psnr"];
+    let expected = json!({
+        "id": whole["id"], "metrics": { "test": { "psnr": psnr } }, "progress": { "step": whole["progress"]["step"] },
+    });
+    assert_eq!(part.json(), expected);
+    server.succeeded().await;
+    let page = server.get("/v1/jobs?fields=id,state&limit=1").await.expect(200).json();
+    let names: Vec<_> = page["jobs"][0].as_object().expect("an object").keys().collect();
+    assert_eq!(names, ["id", "state"]);
+    let next = page["next"].as_str().expect("a second page");
+    let second = server.get(next).await.expect(200).json();
+    assert_eq!(second["jobs"], json!([{ "id": whole["id"], "state": "succeeded" }]), "{next}");
+    for path in [&path, "/v1/jobs"] {
+        for (query, named) in [("fields=id,size", "size"), ("fields=", "fields"), ("color=red", "color")] {
+            let detail = server.get(&format!("{path}?{query}")).await;
+            let detail = detail.expect_problem(422, "invalid-parameter");
+            assert!(detail.contains(named), "{detail}");
+        }
     }
 }
 

@@ -9,6 +9,7 @@ mod estimate;
 mod events;
 mod exports;
 mod figures;
+mod forms;
 mod idempotency;
 mod job_actions;
 mod jobs;
@@ -110,6 +111,9 @@ scenarios! {
         jobs_are_listed_by_state_scene_and_model,
         a_job_is_given_up_at_its_deadline_begun_or_not,
         a_failed_or_cancelled_job_is_retried_as_a_new_one,
+        a_job_is_repeated_with_other_options,
+        the_name_and_labels_of_a_job_are_changed,
+        a_client_names_the_fields_that_it_wants,
         a_job_that_has_ended_is_deleted_with_its_files,
     }
     idempotency {
@@ -130,6 +134,11 @@ scenarios! {
         scenes_are_listed_newest_first_page_by_page,
         a_scene_is_deleted_once_no_job_needs_it,
         scenes_of_another_key_are_not_there_and_bytes_have_a_quota,
+    }
+    forms {
+        a_dataset_comes_in_a_form_or_as_bytes,
+        what_is_wrong_with_a_form_is_said,
+        a_job_that_came_with_a_dataset_names_it,
     }
     uploads {
         a_project_has_so_many_open_uploads,
@@ -175,6 +184,8 @@ scenarios! {
     }
     views {
         views_by_frame_pose_and_query_agree,
+        a_view_without_a_camera_is_that_of_the_first_held_out_one,
+        the_cameras_of_a_job_are_views_of_it,
         views_come_in_three_formats_and_as_multipart,
         depth_and_alpha_are_served_as_pictures_and_as_numbers,
         a_view_is_tagged_timed_and_rendered_once,
@@ -187,6 +198,7 @@ scenarios! {
     sequences {
         an_orbit_is_streamed_part_by_part_as_often_as_asked,
         a_path_is_animated_through_its_views,
+        an_animation_is_written_as_webp_too,
         an_orbit_is_one_file_with_a_tag,
         impossible_sequences_are_refused_by_name,
         sequences_fail_as_views_do,

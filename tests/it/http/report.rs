@@ -171,8 +171,17 @@ pub(super) async fn a_finished_job_is_reported_on_one_page(coverage: Coverage) {
 }
 
 async fn figures_are_comma_separated(server: &Server, path: &str) {
+    let by_header =
+        server.send("GET", path, |request| request.header("accept", "text/csv")).await.expect(200);
+    let both =
+        server.send("GET", path, |request| request.header("accept", "text/csv, text/html;q=0.5")).await;
+    assert!(
+        both.expect(200).header("content-type").starts_with("text/html"),
+        "the page unless it is not accepted"
+    );
     let path = format!("{path}?format=csv");
     let answer = server.get(&path).await.expect(200);
+    assert_eq!(by_header.body, answer.body);
     assert_eq!(answer.header("content-type"), "text/csv; charset=utf-8; header=present");
     let text = String::from_utf8(answer.body.to_vec()).expect("UTF-8");
     let [head, line] = text.lines().collect::<Vec<_>>().try_into().expect("a head and a line");

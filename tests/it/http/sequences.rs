@@ -123,6 +123,37 @@ fn frames_of(file: &[u8]) -> Vec<image::Frame> {
     frames.collect_frames().expect("frames")
 }
 
+pub(super) async fn an_animation_is_written_as_webp_too(coverage: Coverage) {
+    let server = Server::start(&coverage).await;
+    let job = server.succeeded().await;
+    let frames_of_webp = |file: &[u8]| {
+        let decoder = image::codecs::webp::WebPDecoder::new(std::io::Cursor::new(file)).expect("a WebP");
+        decoder.into_frames().collect_frames().expect("frames")
+    };
+    let path = format!("{job}/animation?frames=5&width=24&fps=10");
+    let [apng, webp] = [server.get(&path).await, server.get(&format!("{path}&format=webp")).await];
+    let (apng, webp) = (apng.expect(200), webp.expect(200));
+    assert_eq!(webp.header("content-type"), "image/webp");
+    assert_eq!(webp.header("content-length"), webp.body.len().to_string());
+    assert_ne!(webp.header("etag"), apng.header("etag"));
+    let [plain, same] = [frames_of(&apng.body), frames_of_webp(&webp.body)];
+    assert_eq!(same.len(), 5);
+    for (plain, same) in plain.iter().zip(&same) {
+        assert_eq!((same.buffer(), same.delay()), (plain.buffer(), plain.delay()));
+    }
+    let etag = webp.header("etag");
+    let webp_path = format!("{path}&format=webp");
+    let held = server.send("GET", &webp_path, |request| request.header("if-none-match", etag));
+    held.await.expect(304);
+    let body = json!({ "path": self::path(), "frames": 3, "format": "webp" });
+    let along = server.post_json(&format!("{job}/animation"), &body).await.expect(200);
+    assert_eq!((along.header("content-type"), frames_of_webp(&along.body).len()), ("image/webp", 3));
+    let detail = server.get(&format!("{path}&format=gif")).await.expect_problem(422, "invalid-parameter");
+    assert!(detail.starts_with("format"), "{detail}");
+    let body = json!({ "path": self::path(), "format": "gif" });
+    server.post_json(&format!("{job}/animation"), &body).await.expect_problem(422, "invalid-view");
+}
+
 pub(super) async fn an_orbit_is_one_file_with_a_tag(coverage: Coverage) {
     let server = Server::start(&coverage).await;
     let job = server.succeeded().await;

@@ -44,7 +44,7 @@ pub(super) async fn unknown_jobs_frames_paths_and_methods_are_problems(coverage:
     }
     for (method, path, allow) in [
         ("DELETE", "/v1/jobs", "GET,HEAD,POST"),
-        ("PUT", &done, "GET,HEAD,DELETE"),
+        ("PUT", &done, "GET,HEAD,PATCH,DELETE"),
         ("GET", &format!("{done}/cancel"), "POST"),
     ] {
         let answer = server.send(method, path, |request| request).await.expect(405);

@@ -55,16 +55,48 @@ pub(super) async fn views_by_frame_pose_and_query_agree(coverage: Coverage) {
     let contract =
         std::fs::read_to_string(concat!(env!("CARGO_MANIFEST_DIR"), "/openapi.yaml")).expect("readable");
     let examples: Vec<Value> = contract
-        .match_indices("{\"views\": [{\"camera_to_world\"")
+        .match_indices("{\"views\": [{\"")
         .map(|(start, _)| {
             let text = &contract[start..start + contract[start..].find("]}").expect("an end") + 2];
             serde_json::from_str(text).expect("the example is JSON")
         })
         .collect();
-    assert_eq!(examples.len(), 2, "one example for each convention");
+    assert_eq!(examples.len(), 3, "one by position, and one for each convention");
     for example in examples {
         assert_eq!(server.post_json(&views, &example).await.expect(200).body, by_query, "{example}");
     }
+}
+
+pub(super) async fn a_view_without_a_camera_is_that_of_the_first_held_out_one(coverage: Coverage) {
+    let server = Server::start(&coverage).await;
+    let job = server.succeeded().await;
+    for (query, same) in [("", "?frame=test/r_0"), ("?width=20", "?frame=test/r_0&width=20")] {
+        let [plain, named] = [query, same].map(|query| format!("{job}/view{query}"));
+        assert_eq!(server.get(&plain).await.expect(200).body, server.get(&named).await.expect(200).body);
+    }
+    let small = picture_of(&server.get(&format!("{job}/view?width=20&format=jpeg")).await.expect(200).body);
+    assert_eq!((small.width(), small.height()), (20, 16));
+}
+
+pub(super) async fn the_cameras_of_a_job_are_views_of_it(coverage: Coverage) {
+    let server = Server::start(&coverage).await;
+    let job = server.succeeded().await;
+    let path = format!("{job}/cameras");
+    let listed = server.get(&path).await.expect(200);
+    let etag = listed.header("etag").to_owned();
+    let held = server.send("GET", &path, |request| request.header("if-none-match", &etag)).await.expect(304);
+    assert_eq!(held.header("etag"), etag);
+    let cameras = listed.json()["cameras"].as_array().expect("cameras").clone();
+    assert_eq!(cameras.len(), fakes::cameras().len());
+    for (shown, camera) in cameras.iter().zip(fakes::cameras()) {
+        assert_eq!((&shown["name"], &shown["split"]), (&json!(camera.name), &json!(camera.split)));
+        let by_view = server.post_json(&format!("{job}/views"), &json!({ "views": [shown["view"]] })).await;
+        let by_name = server.get(&format!("{job}/view?frame={}", camera.name)).await.expect(200);
+        assert_eq!(by_view.expect(200).body, by_name.body, "{}", camera.name);
+    }
+    let path_of_cameras = json!({ "path": [cameras[0]["view"]], "frames": 2 });
+    server.post_json(&format!("{job}/animation"), &path_of_cameras).await.expect(200);
+    server.get(&format!("{path}?split=test")).await.expect_problem(422, "invalid-parameter");
 }
 
 pub(super) async fn views_come_in_three_formats_and_as_multipart(coverage: Coverage) {
@@ -93,6 +125,18 @@ pub(super) async fn views_come_in_three_formats_and_as_multipart(coverage: Cover
         })
         .collect();
     assert_eq!(sizes, [(40, 32), (20, 16)]);
+    let form = server
+        .send("POST", &format!("{job}/views"), |request| {
+            request.json(&body).header("accept", "multipart/form-data")
+        })
+        .await
+        .expect(200);
+    assert!(form.header("content-type").starts_with("multipart/form-data; boundary="));
+    let fields = self::parts(&form.body, form.header("content-type"));
+    for (index, ((head, content), (_, same))) in fields.iter().zip(&parts).enumerate() {
+        assert!(head.ends_with(&format!("form-data; name=\"{index}\"; filename=\"{index}.png\"")), "{head}");
+        assert_eq!(content, same);
+    }
 }
 
 pub(super) async fn depth_and_alpha_are_served_as_pictures_and_as_numbers(coverage: Coverage) {
@@ -200,7 +244,11 @@ pub(super) async fn impossible_views_are_refused_by_name(coverage: Coverage) {
     let server = Server::start(&coverage).await;
     let job = server.succeeded().await;
     for (query, kind, named) in [
-        ("", "invalid-parameter", "position"),
+        ("fov=50", "invalid-parameter", "position"),
+        ("look_at=0,0,0", "invalid-parameter", "position"),
+        ("pos=1,2,3", "invalid-parameter", "pos: is not a parameter"),
+        ("position=1,2,3&lookat=0,0,0", "invalid-parameter", "lookat: is not a parameter"),
+        ("position=1,0,0&look_at=0,0,0&fx=50", "invalid-parameter", "fx"),
         ("position=1,2,3", "invalid-parameter", "look_at"),
         ("position=1,2&look_at=0,0,0", "invalid-parameter", "position"),
         ("position=1,2,3,4&look_at=0,0,0", "invalid-parameter", "position"),
@@ -246,7 +294,11 @@ pub(super) async fn impossible_views_are_refused_by_name(coverage: Coverage) {
     server.post_json(&views, &pose(&|_| {})).await.expect(200);
     let painted = server.renderer.painted();
     type Change = dyn Fn(&mut Value);
-    let faults: [(&Change, &str); 10] = [
+    let faults: [(&Change, &str); 14] = [
+        (&|view| *view = json!({}), "frame, position or camera_to_world is needed"),
+        (&|view| *view = json!({ "position": [1, 2, 3] }), "look_at"),
+        (&|view| *view = json!({ "position": [1, 2], "look_at": [0, 0, 0] }), "length"),
+        (&|view| view["position"] = json!([1, 2, 3]), "camera_to_world cannot be combined with position"),
         (&|view| view["camera_to_world"][0][0] = json!(2), "rigid"),
         (&|view| view["camera_to_world"][0][0] = json!(-1), "rigid"),
         (&|view| view["camera_to_world"][3][0] = json!(1), "last row"),
@@ -288,7 +340,7 @@ pub(super) async fn a_job_without_a_file_has_no_views(coverage: Coverage) {
     let job = server.create("succeed").await;
     let queued = server.get(&job).await.expect(200);
     assert!(queued.headers.contains_key("retry-after"), "a poller is told when to ask again");
-    for part in ["artifact", "view?frame=test/r_0"] {
+    for part in ["artifact", "cameras", "view", "view?frame=test/r_0"] {
         let detail = server.get(&format!("{job}/{part}")).await.expect_problem(409, "no-artifact");
         assert!(detail.contains("queued"), "{detail}");
     }

@@ -10,8 +10,8 @@ use tcgs::{
     },
     store::{
         Artifact, ArtifactKind, BlobRef, DatasetCreation, DatasetDeletion, DatasetPageKey, DatasetRecord,
-        NewDataset, NewJob, NewProject, NewUpload, Outcome, QueuePolicy, Store, StoreError, Usage,
-        uploads::MAX_OPEN_UPLOADS,
+        JobDataset, NewDataset, NewJob, NewProject, NewUpload, Outcome, QueuePolicy, Store, StoreError,
+        Usage, uploads::MAX_OPEN_UPLOADS,
     },
 };
 use uuid::Uuid;
@@ -97,6 +97,47 @@ async fn a_dataset_reads_back_as_it_was_added() {
     assert_eq!((&made.summary, made.version, made.created_at), (&new.summary, 1, fixture.clock.now()));
     assert_eq!(fixture.store.dataset(new.id).await.expect("read"), Some(made));
     assert_eq!(fixture.store.dataset(DatasetId(Uuid::from_u128(2))).await.expect("read"), None);
+}
+
+#[tokio::test]
+async fn a_dataset_that_came_with_a_job_goes_with_its_last_job_unless_it_is_kept() {
+    let Some(fixture) = Fixture::new().await else { return };
+    let project = fixture.project(1, None).await;
+    let of_job = async |number: u128, content: &str| {
+        let id = JobId(Uuid::from_u128(number));
+        let summary = new_dataset(0, project, content).summary;
+        let own = JobDataset { id: DatasetId(Uuid::from_u128(100 + number)), summary };
+        let new = NewJob::new(id, TrainOptions::default(), blob(content));
+        let made = fixture.store.create_job(NewJob { project, own_dataset: Some(own), ..new }).await;
+        fixture.store.cancel(id).await.expect("cancelled").expect("known");
+        made.expect("queued").dataset_id.expect("a dataset")
+    };
+    let delete = async |number: u128| {
+        let id = JobId(Uuid::from_u128(number));
+        fixture.store.delete_job(id, None).await.expect("an answer").expect("known")
+    };
+    let dataset = async |id: DatasetId| fixture.store.dataset(id).await.expect("read");
+    let [first, again, other] = [of_job(1, "one").await, of_job(2, "one").await, of_job(3, "other").await];
+    assert!(first == again && first != other, "an archive is one dataset");
+    let shown = dataset(first).await.expect("there");
+    assert_eq!((shown.kept, shown.name, shown.dataset), (false, None, blob("one")));
+    assert_eq!(fixture.usage(project).await.stored, 8);
+    delete(1).await;
+    assert!(dataset(first).await.is_some(), "another job has it");
+    delete(2).await;
+    assert_eq!(dataset(first).await, None);
+
+    let DatasetCreation::Created(kept) = fixture.add(9, project, "other").await else {
+        panic!("it was not kept")
+    };
+    assert_eq!((kept.id, kept.kept, kept.name.as_deref(), kept.version), (other, true, Some("scene 9"), 2));
+    assert_eq!(fixture.add(10, project, "other").await, DatasetCreation::Existing(kept));
+    delete(3).await;
+    assert!(dataset(other).await.is_some());
+    assert_eq!(fixture.usage(project).await.stored, 5);
+    assert_eq!(of_job(4, "other").await, other);
+    delete(4).await;
+    assert!(dataset(other).await.is_some(), "it stays kept");
 }
 
 #[tokio::test]

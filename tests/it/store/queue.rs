@@ -1264,7 +1264,7 @@ async fn every_change_raises_the_version_and_a_new_attempt_starts_from_nothing()
 
 fn retry(number: u128, from_checkpoint: bool) -> RetryRequest {
     let id = JobId(Uuid::from_u128(number));
-    RetryRequest { id, key: None, from_checkpoint, deadline_at: None, intent: None }
+    RetryRequest { from_checkpoint, ..RetryRequest::of(id) }
 }
 
 impl Queue {

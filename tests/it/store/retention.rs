@@ -73,13 +73,7 @@ async fn only_jobs_that_ended_long_ago_are_removed_and_totals_stay_right() {
         fidelity: None,
     };
     fixture.store.add_export(export).await.expect("kept").expect("known");
-    let repeat = RetryRequest {
-        id: JobId(Uuid::from_u128(4)),
-        key: None,
-        from_checkpoint: false,
-        deadline_at: None,
-        intent: None,
-    };
+    let repeat = RetryRequest { from_checkpoint: false, ..RetryRequest::of(JobId(Uuid::from_u128(4))) };
     fixture.store.retry_job(fails, repeat).await.expect("an answer").expect("known");
     let running = fixture.store.claim("worker").await.expect("an answer").expect("the retry").lease.job;
     let queued = fixture.job(5, project, None, "a dataset").await;

@@ -173,13 +173,7 @@ async fn totals_equal_a_recount_after_every_change() {
     fixture.check("a failure").await;
     fixture.store.cancel(second).await.expect("an answer").expect("known");
     fixture.check("a cancellation").await;
-    let repeat = RetryRequest {
-        id: JobId(Uuid::from_u128(5)),
-        key: None,
-        from_checkpoint: false,
-        deadline_at: None,
-        intent: None,
-    };
+    let repeat = RetryRequest { from_checkpoint: false, ..RetryRequest::of(JobId(Uuid::from_u128(5))) };
     fixture.store.retry_job(second, repeat).await.expect("an answer").expect("known");
     fixture.check("a repetition").await;
     fixture.clock.advance(SignedDuration::from_secs(1));

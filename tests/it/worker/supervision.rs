@@ -214,7 +214,7 @@ async fn a_retry_resumes_from_the_checkpoint_of_the_retried_job() {
     fixture.reaches(failed, JobState::Failed).await;
     let repeat = |from_checkpoint| {
         let id = tcgs::domain::JobId(Uuid::now_v7());
-        let repeat = RetryRequest { id, key: None, from_checkpoint, deadline_at: None, intent: None };
+        let repeat = RetryRequest { from_checkpoint, ..RetryRequest::of(id) };
         let store = fixture.store.clone();
         async move {
             store.retry_job(failed, repeat).await.expect("answered").expect("known");

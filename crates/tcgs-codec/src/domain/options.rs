@@ -8,6 +8,8 @@ use thiserror::Error;
 
 use super::{ExifOrientation, Exposure, HoldOut, MaskMode, MaskSource, ReadOptions, choice::named_choice};
 
+/// Largest seed: the largest whole number that readers of JSON represent exactly if they use 64-bit floats, as JavaScript's do.
+pub const MAX_SEED: u64 = (1 << 53) - 1;
 /// Most iterations of a run.
 pub const MAX_ITERATIONS: u32 = 1_000_000;
 
@@ -589,10 +591,12 @@ pub static TRAIN_OPTIONS: [TrainOption; 21] = [
     },
     TrainOption {
         name: "seed",
-        kind: OptionKind::Integer(0, u64::MAX),
+        kind: OptionKind::Integer(0, MAX_SEED),
         default: Some("0"),
         help: Some("Seed of all random numbers"),
-        set: |options, text| text.parse().ok().map(|seed| options.seed = seed),
+        set: |options, text| {
+            text.parse().ok().filter(|seed| *seed <= MAX_SEED).map(|seed| options.seed = seed)
+        },
     },
     TrainOption {
         name: "background",

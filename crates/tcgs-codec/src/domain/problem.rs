@@ -49,6 +49,7 @@ problem_types! {
     HeadersTooLarge = 431, "headers-too-large", "Headers too large";
     UnsupportedMediaType = 415, "unsupported-media-type", "Unsupported media type";
     MalformedJson = 400, "malformed-json", "Malformed JSON";
+    MalformedForm = 400, "malformed-form", "Malformed form";
     InvalidParameter = 422, "invalid-parameter", "Invalid parameter";
     InvalidHeader = 400, "invalid-header", "Invalid header";
     DigestMismatch = 400, "digest-mismatch", "Digest mismatch";
@@ -161,6 +162,7 @@ problem_types! {
     Unreachable = 503, "unreachable", "The service cannot be reached";
     UnexpectedAnswer = 502, "unexpected-answer", "The service's answer is not one of its contract";
     Unavailable = 503, "unavailable", "Something needed is missing";
+    AddressTaken = 503, "address-taken", "The address is taken";
     Stopped = 500, "stopped", "Stopped";
     JobCancelled = 500, "job-cancelled", "The job was cancelled";
     NoDatasets = 422, "no-datasets", "There is nothing to train on";

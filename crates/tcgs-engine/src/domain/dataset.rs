@@ -92,6 +92,14 @@ pub struct NamedCamera {
     pub camera: Camera,
 }
 
+impl NamedCamera {
+    /// The camera that shows a scene where none is asked for: the first held-out one, else the first.
+    #[must_use]
+    pub fn first_to_show(cameras: &[Self]) -> Option<&Self> {
+        cameras.iter().find(|camera| camera.split == Split::Test).or_else(|| cameras.first())
+    }
+}
+
 /// Structure-from-motion points in the frames' world.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct PointCloud {

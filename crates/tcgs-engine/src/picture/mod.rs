@@ -6,11 +6,12 @@
 mod apng;
 mod jpeg;
 mod png;
+mod webp_animation;
 
 use image::{ExtendedColorType, ImageEncoder as _, ImageError, codecs::webp::WebPEncoder};
 use thiserror::Error;
 
-pub use self::apng::Apng;
+pub use self::{apng::Apng, webp_animation::WebpAnimation};
 use crate::domain::Image;
 
 /// Why a picture is not encoded.
@@ -25,9 +26,12 @@ pub enum PictureError {
     /// The encoder's error of the other formats.
     #[error(transparent)]
     Image(#[from] ImageError),
-    /// A frame of an animation is of another size, or is no whole PNG.
-    #[error("frame {0} of an animation is no PNG of its size")]
+    /// A frame of an animation is of another size, or is no whole file of its format.
+    #[error("frame {0} of an animation is no picture of its size")]
     Frame(u32),
+    /// More bytes than a file of the format may have.
+    #[error("the animation is too long for its format")]
+    TooLong,
 }
 
 /// A file format, with its settings.

@@ -49,7 +49,8 @@ impl From<GpuError> for JobError {
             GpuError::DeviceLost(_) | GpuError::Timeout { .. } | GpuError::Rejected(_) => {
                 Self::Retry(error.into())
             }
-            GpuError::NoAdapter { .. }
+            GpuError::NoAdapter
+            | GpuError::NoMatchingAdapter { .. }
             | GpuError::Open { .. }
             | GpuError::Kernel { .. }
             | GpuError::BufferTooLarge { .. }

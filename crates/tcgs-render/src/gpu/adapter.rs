@@ -41,6 +41,16 @@ impl fmt::Display for AdapterChoice {
 }
 
 impl AdapterChoice {
+    /// Whether it is this adapter, which is usable.
+    #[must_use]
+    pub fn accepts_report(&self, adapter: &AdapterReport) -> bool {
+        adapter.usable
+            && match self {
+                Self::Auto => true,
+                _ => self.accepts(&adapter.name, wgpu::DeviceType::Other),
+            }
+    }
+
     fn accepts(&self, name: &str, kind: wgpu::DeviceType) -> bool {
         let name = name.to_lowercase();
         match self {
@@ -180,9 +190,9 @@ pub(super) fn choose(choice: &AdapterChoice) -> Result<wgpu::Adapter, GpuError> 
         })
         .collect();
     let available: Vec<String> = candidates.iter().map(|candidate| candidate.name.clone()).collect();
-    best(choice, candidates).ok_or_else(|| GpuError::NoAdapter {
-        wanted: choice.to_string(),
-        available: if available.is_empty() { "none".to_owned() } else { available.join(", ") },
+    best(choice, candidates).ok_or_else(|| match available.is_empty() {
+        true => GpuError::NoAdapter,
+        false => GpuError::NoMatchingAdapter { wanted: choice.to_string(), available: available.join(", ") },
     })
 }
 
@@ -208,7 +218,7 @@ mod tests {
     #[test]
     fn an_adapter_that_does_not_exist_is_refused_by_name() {
         let error = choose(&AdapterChoice::Named("no such adapter".to_owned())).expect_err("refused");
-        assert!(matches!(error, GpuError::NoAdapter { wanted, .. } if wanted == "no such adapter"));
+        assert!(matches!(error, GpuError::NoMatchingAdapter { wanted, .. } if wanted == "no such adapter"));
     }
 
     #[test]

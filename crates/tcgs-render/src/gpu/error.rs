@@ -10,15 +10,18 @@ use crate::domain::{Bytes, Problem, ProblemType};
 #[derive(Debug, Clone, PartialEq, Eq, Error)]
 pub enum GpuError {
     /// No adapter matches.
-    #[error(
-        "no adapter matches '{wanted}'; there are: {available}. Install a Vulkan driver (Debian: mesa-vulkan-drivers) or choose another with --adapter"
-    )]
-    NoAdapter {
+    #[error("no adapter matches '{wanted}'; there are: {available}. Choose one of these with --adapter")]
+    NoMatchingAdapter {
         /// The choice.
         wanted: String,
         /// Names of the adapters.
         available: String,
     },
+    /// The machine has no adapter.
+    #[error(
+        "this machine has no adapter: install a Vulkan driver (Debian: mesa-vulkan-drivers); `tcgs doctor` shows what there is"
+    )]
+    NoAdapter,
     /// The adapter refused to open.
     #[error("the adapter '{adapter}' could not be opened: {error}")]
     Open {
@@ -78,7 +81,9 @@ pub enum GpuError {
 impl From<GpuError> for Problem {
     fn from(error: GpuError) -> Self {
         let kind = match &error {
-            GpuError::NoAdapter { .. } | GpuError::Open { .. } => ProblemType::NoAdapter,
+            GpuError::NoAdapter | GpuError::NoMatchingAdapter { .. } | GpuError::Open { .. } => {
+                ProblemType::NoAdapter
+            }
             GpuError::DeviceLost(_) => ProblemType::DeviceLost,
             GpuError::Timeout { .. } => ProblemType::DeviceTimeout,
             GpuError::Rejected(_) | GpuError::Kernel { .. } => ProblemType::DeviceFault,
