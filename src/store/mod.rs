@@ -62,8 +62,8 @@ pub use projects::{
 pub use publications::BlobPlace;
 pub use records::{
     Artifact, ArtifactKind, AttemptOutcome, AttemptRecord, BlobRef, Cancellation, Claim, Deletion, Heartbeat,
-    JobFilter, JobRecord, Lease, MAX_QUEUE_POSITION, NewJob, Outcome, PageKey, RemovedJobs, RetryOutcome,
-    RetryRequest, SHOWN_ATTEMPTS, SceneArtifact, WorkerDeath,
+    JobFilter, JobRecord, JobVersion, Lease, MAX_QUEUE_POSITION, NewJob, Outcome, PageKey, RemovedJobs,
+    RetryOutcome, RetryRequest, SHOWN_ATTEMPTS, SceneArtifact, WorkerDeath,
 };
 pub use sql::{DatabaseLocation, InvalidDatabaseUrl, PostgresUrl, SchemaChange, Store};
 #[doc(hidden)]

@@ -204,6 +204,14 @@ pub struct JobFilter {
     pub metadata: Metadata,
 }
 
+/// What tells whether a job has changed.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct JobVersion {
+    /// As in [`Job::version`].
+    pub version: u64,
+    pub state: JobState,
+}
+
 /// A position in the list of jobs.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct PageKey {

@@ -7,6 +7,7 @@ pub(super) mod create_request;
 pub(super) mod event_stream;
 pub(super) mod events;
 pub(super) mod list;
+mod list_stream;
 pub(super) mod series;
 
 use axum::{

@@ -20,6 +20,7 @@ mod faults;
 mod finished_runs;
 mod idempotency;
 mod job_changes;
+mod job_versions;
 mod keys;
 mod leases;
 mod lists;
