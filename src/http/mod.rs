@@ -10,6 +10,8 @@ pub mod config;
 mod datasets;
 mod estimate;
 mod files;
+mod front;
+mod html;
 mod jobs;
 mod keys;
 mod meters;
@@ -108,10 +110,12 @@ fn routes(state: AppState, more: Router<AppState>) -> Router {
         .route("/v1/usage", get(usage::get))
         .route("/v1/keys", get(keys::list).post(keys::create))
         .route("/v1/keys/{id}", get(keys::get).patch(keys::change).delete(keys::revoke))
+        .route("/", get(front::get))
         .route("/healthz", get(server::health::healthz))
         .route("/readyz", get(server::readiness::readyz))
         .route("/version", get(server::health::version))
         .route("/openapi.yaml", get(server::health::openapi))
+        .route("/openapi.json", get(server::health::openapi_json))
         .layer(from_fn_with_state(state.clone(), auth::authenticate))
         .layer(CatchPanicLayer::custom(server::middleware::panicked))
         .layer(from_fn(server::head::bounded))

@@ -74,6 +74,12 @@ pub(super) async fn authenticate(
         return next.run(request).await;
     }
     let client = ClientInfo::of(&request, &state.limits.access.trusted_proxies);
+    if matches!(needed, Some(Access::Optional(_)))
+        && matches!(open, Ok(false))
+        && matches!(credentials, Credentials::Nothing)
+    {
+        return next.run(request).await;
+    }
     let caller = match admit(&state, open, credentials, needed, &client).await {
         Ok(caller) => caller,
         Err(error) => return error.into_response(),
@@ -233,7 +239,7 @@ async fn admit(
     let record = state.store().authenticate(key.hash()).await?.ok_or_else(|| fail(bad_key(reads)))?;
     state.throttle.request(&record).map_err(|wait| too_many_requests(&record, wait))?;
     record_use(state, &record);
-    if let Some(Access::Scope(scope)) = needed
+    if let Some(scope) = needed.and_then(Access::scope)
         && !record.allows(scope)
     {
         return Err(out_of_scope(&record, scope));

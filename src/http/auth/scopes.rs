@@ -11,9 +11,21 @@ pub(crate) enum Access {
     Open,
     /// A key with this scope, once there are keys.
     Scope(Scope),
+    /// None; whoever shows a key must have this scope, and is answered by what it may see.
+    Optional(Scope),
 }
 
-use Access::{Open, Scope as Needs};
+impl Access {
+    /// The scope that a key must have.
+    pub(crate) fn scope(self) -> Option<Scope> {
+        match self {
+            Access::Open => None,
+            Access::Scope(scope) | Access::Optional(scope) => Some(scope),
+        }
+    }
+}
+
+use Access::{Open, Optional, Scope as Needs};
 use Scope::{Admin, DatasetsWrite, JobsWrite, Read};
 
 /// Method and route of every operation, as the router has them, in the order of `openapi.yaml`.
@@ -67,11 +79,13 @@ const OPERATIONS: &[(&str, &str, Access)] = &[
     ("GET", "/v1/keys/{id}", Needs(Admin)),
     ("PATCH", "/v1/keys/{id}", Needs(Admin)),
     ("DELETE", "/v1/keys/{id}", Needs(Admin)),
+    ("GET", "/", Optional(Read)),
     ("GET", "/healthz", Open),
     ("GET", "/readyz", Open),
     ("GET", "/metrics", Needs(Admin)),
     ("GET", "/version", Open),
     ("GET", "/openapi.yaml", Open),
+    ("GET", "/openapi.json", Open),
 ];
 
 /// The access that an operation requires; `None` if there is no such operation. `HEAD` is `GET` unless it has a row of its own.
@@ -142,9 +156,12 @@ mod tests {
                         );
                     }
                 }
-                Needs(scope) => {
+                Needs(scope) | Optional(scope) => {
                     let name = scope.name();
                     let mut expected = vec![json!({ "key": [name] })];
+                    if access == Optional(scope) {
+                        expected.insert(0, json!({}));
+                    }
                     if matches!(&*method, "GET" | "HEAD") {
                         expected.push(json!({ "password": [name] }));
                     }
@@ -169,7 +186,7 @@ mod tests {
     fn only_the_service_itself_is_open() {
         for (method, path, access) in OPERATIONS {
             assert!(
-                *access != Open || !path.starts_with("/v1"),
+                matches!(access, Needs(_)) || !path.starts_with("/v1"),
                 "{method} {path} is under /v1 and must need a key"
             );
         }

@@ -9,6 +9,7 @@ mod estimate;
 mod events;
 mod exports;
 mod figures;
+mod front;
 mod idempotency;
 mod job_actions;
 mod jobs;
@@ -67,6 +68,10 @@ scenarios! {
         what_is_anothers_is_not_there,
         a_database_that_fails_lets_nobody_in,
     }
+    front {
+        a_browser_gets_a_page_of_its_jobs,
+        the_page_shows_nothing_without_a_key,
+    }
     projects {
         a_leaked_key_is_replaced_and_nothing_is_lost,
         projects_are_made_changed_and_listed_by_administrators,
@@ -99,6 +104,7 @@ scenarios! {
     }
     events {
         a_stream_tells_everything_once_and_ends_with_the_job,
+        a_list_tells_of_each_job_that_changes,
         there_are_only_so_many_streams,
     }
     series {

@@ -20,15 +20,15 @@ const VOID: [&str; 4] = ["meta", "img", "input", "link"];
 
 /// One start tag.
 #[derive(Debug)]
-struct Element {
-    name: String,
-    attributes: BTreeMap<String, String>,
+pub(super) struct Element {
+    pub(super) name: String,
+    pub(super) attributes: BTreeMap<String, String>,
     /// The text right after it.
-    text: String,
+    pub(super) text: String,
 }
 
 /// The elements of a page, which must be without syntax errors and with every element closed in order.
-fn parse(page: &str) -> Vec<Element> {
+pub(super) fn parse(page: &str) -> Vec<Element> {
     let (mut elements, mut open): (Vec<Element>, Vec<String>) = (Vec::new(), Vec::new());
     let text = |bytes: &[u8]| String::from_utf8(bytes.to_vec()).expect("UTF-8");
     // The tokenizer has to be told where text is not markup.
