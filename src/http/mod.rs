@@ -87,6 +87,8 @@ fn routes(state: AppState, more: Router<AppState>) -> Router {
         .route("/v1/jobs/{id}/artifact", get(files::get))
         .route("/v1/jobs/{id}/artifacts", get(files::list))
         .route("/v1/jobs/{id}/export", get(files::exports::get))
+        .route("/v1/jobs/{id}/thumbnail", get(files::thumbnail))
+        .route("/v1/jobs/{id}/preview", get(files::preview))
         .route("/v1/artifacts/{sha256}", get(files::by_hash))
         .route("/v1/jobs/{id}/view", get(views::get))
         .route("/v1/jobs/{id}/views", post(views::post))

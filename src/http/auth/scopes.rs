@@ -41,6 +41,8 @@ const OPERATIONS: &[(&str, &str, Access)] = &[
     ("GET", "/v1/jobs/{id}/series", Needs(Read)),
     ("GET", "/v1/jobs/{id}/artifact", Needs(Read)),
     ("GET", "/v1/jobs/{id}/artifacts", Needs(Read)),
+    ("GET", "/v1/jobs/{id}/thumbnail", Needs(Read)),
+    ("GET", "/v1/jobs/{id}/preview", Needs(Read)),
     ("GET", "/v1/jobs/{id}/export", Needs(Read)),
     ("GET", "/v1/artifacts/{sha256}", Needs(Read)),
     ("GET", "/v1/jobs/{id}/view", Needs(Read)),

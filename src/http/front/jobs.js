@@ -41,6 +41,28 @@
     progress.eta_seconds !== null && `${duration(progress.eta_seconds)} left`,
   ].filter(Boolean).join(', ');
 
+  // The picture of a job in training, if it has changed.
+  const looking = new Set();
+  const look = async card => {
+    const id = card.dataset.job;
+    if (looking.has(id) || document.visibilityState !== 'visible') return;
+    looking.add(id);
+    try {
+      const answer = await ask(`v1/jobs/${id}/preview`);
+      const tag = answer.headers.get('etag');
+      if (answer.ok && card.isConnected && tag !== card.dataset.tag) {
+        const picture = document.createElement('img');
+        picture.alt = '';
+        picture.src = URL.createObjectURL(await answer.blob());
+        await picture.decode();
+        URL.revokeObjectURL(picture.src);
+        card.dataset.tag = tag;
+        card.querySelector('.thumb').replaceChildren(picture);
+      }
+    } catch { /* The next look may find it. */ }
+    setTimeout(() => looking.delete(id), 1000);
+  };
+
   const elsewhere = new Set();
   const show = job => {
     const card = row(job.id);
@@ -49,6 +71,7 @@
       bar.max = Math.max(1, job.progress.total);
       bar.value = job.progress.step;
       card.querySelector('.figures').textContent = figures(job);
+      look(card);
     } else if (card || ('first' in list.dataset && !elsewhere.has(job.id))) {
       // A job that the page still does not have is of another page.
       if (!card) elsewhere.add(job.id);

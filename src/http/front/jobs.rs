@@ -5,7 +5,7 @@ use maud::{Markup, html};
 use crate::{
     domain::{Job, JobState},
     http::report::units::{duration, grouped, size},
-    store::JobRecord,
+    store::{ArtifactKind, JobRecord},
 };
 
 /// The section of jobs, newest first.
@@ -31,7 +31,13 @@ fn card(record: &JobRecord) -> Markup {
     let name = name(record);
     html! {
         article.job data-job=(id) data-state=(state) data-name=(name) {
-            a.thumb href=(format!("v1/jobs/{id}/report")) tabindex="-1" aria-hidden="true" { span.blank {} }
+            a.thumb href=(format!("v1/jobs/{id}/report")) tabindex="-1" aria-hidden="true" {
+                @if record.artifact(ArtifactKind::Thumbnail).is_some() {
+                    img src=(format!("v1/jobs/{id}/thumbnail")) alt="" loading="lazy";
+                } @else if record.artifact(ArtifactKind::Preview).is_some() {
+                    img src=(format!("v1/jobs/{id}/preview")) alt="" loading="lazy";
+                }
+            }
             div.what {
                 h3 { a.name href=(format!("v1/jobs/{id}/report")) { (name) } }
                 p { span.{"state " (state)} { (state) } " " span.figures { (figures(record)) } }

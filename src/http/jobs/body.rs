@@ -29,6 +29,8 @@ pub(crate) fn job(record: &JobRecord) -> Value {
         "retry": format!("{this}/retry"),
         "artifact": format!("{this}/artifact"),
         "artifacts": format!("{this}/artifacts"),
+        "thumbnail": format!("{this}/thumbnail"),
+        "preview": format!("{this}/preview"),
         "export": format!("{this}/export"),
         "view": format!("{this}/view"),
         "views": format!("{this}/views"),

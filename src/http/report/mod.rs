@@ -1,6 +1,6 @@
 //! `GET /v1/jobs/{id}/report`: everything about a job on one page, or its figures as comma-separated values.
 //!
-//! Invariants: the page requests nothing from other hosts, and from this one only its viewer's pictures; it can be read without
+//! Invariants: the page requests nothing from other hosts, and from this one only pictures, events and itself; it can be read without
 //! scripts and printed; every text is escaped by its template; its content security policy allows only its own script and style,
 //! by their hashes.
 
@@ -13,9 +13,8 @@ mod page;
 mod pictures;
 mod settings;
 mod stages;
+mod standing;
 pub(super) mod units;
-
-use std::sync::LazyLock;
 
 use axum::{
     extract::State,
@@ -26,7 +25,7 @@ use serde::de::DeserializeOwned;
 
 use self::{
     history::History,
-    page::{Page, SCRIPT, STYLE},
+    page::{Page, STYLE, script},
 };
 use super::{
     html,
@@ -39,9 +38,6 @@ use crate::{
     domain::{HeldOut, NamedCamera, ProblemType},
     store::{ArtifactKind, JobRecord},
 };
-
-/// The page's content security policy.
-static POLICY: LazyLock<Option<HeaderValue>> = LazyLock::new(|| html::policy(SCRIPT, STYLE));
 
 /// Version of the page's layout, part of its entity tag.
 const FORM: &str = env!("CARGO_PKG_VERSION");
@@ -75,8 +71,9 @@ pub(super) async fn get(
     }
     let held_out: Option<HeldOut> = document(&state, &record, ArtifactKind::HeldOut).await?;
     let cameras: Option<Vec<NamedCamera>> = document(&state, &record, ArtifactKind::Cameras).await?;
+    let policy = html::policy(script(&record.job).unwrap_or_default(), STYLE);
     let page = Page { record, history, held_out, cameras: cameras.unwrap_or_default() }.html();
-    let mut response = html::page(page, POLICY.clone())?;
+    let mut response = html::page(page, policy)?;
     response.headers_mut().insert(header::ETAG, etag.value());
     Ok(response)
 }

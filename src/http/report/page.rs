@@ -10,20 +10,31 @@ use super::{
     pictures::pictures,
     settings::settings,
     stages::stages,
-    units::{bytes, duration, figure, grouped},
+    standing::standing,
+    units::{bytes, duration, figure, grouped, size},
 };
 use crate::{
-    domain::{HeldOut, Job, JobMetrics, NamedCamera},
+    domain::{HeldOut, Job, JobMetrics, NamedCamera, SceneFormat},
     http::jobs::body::href,
     store::JobRecord,
 };
 
-/// The page's only script and only style; the policy that it is served under names their hashes.
-pub(super) const SCRIPT: &str = include_str!("viewer.js");
+/// The page's only style; the policy that it is served under names its hash.
 pub(super) const STYLE: &str = include_str!("style.css");
 
-/// Seconds after which the page of an unfinished job reloads.
-const REFRESH_SECONDS: u32 = 10;
+/// The script of a page, which has one or none; the policy that it is served under names its hash.
+pub(super) fn script(job: &Job) -> Option<&'static str> {
+    if job.metrics.is_some() {
+        Some(VIEWER)
+    } else if job.state.is_terminal() {
+        None
+    } else {
+        Some(LIVE)
+    }
+}
+
+const VIEWER: &str = include_str!("viewer.js");
+const LIVE: &str = include_str!("live.js");
 
 /// What the page is made from.
 #[derive(Debug)]
@@ -45,18 +56,28 @@ impl Page {
                     meta name="viewport" content="width=device-width, initial-scale=1";
                     // Or browsers would ask the service for one.
                     link rel="icon" href="data:,";
-                    @if !job.state.is_terminal() { meta http-equiv="refresh" content=(REFRESH_SECONDS); }
-                    title { "tcgs job " (job.id) }
+                    title { @match &self.record.name { Some(name) => { (name) " - tcgs" }, None => { "tcgs job " (job.id) } } }
                     style { (PreEscaped(STYLE)) }
                 }
                 body {
                     header {
-                        h1 { "Report of a " (job.options.model.to_string()) " scene" }
-                        p { span.{"state " (job.state.name())} { (job.state.name()) } " job " code { (job.id) } }
+                        // From the report of a job to the page of all.
+                        nav { a href="../../../" { "All scenes" } }
+                        h1 {
+                            @match &self.record.name {
+                                Some(name) => (name),
+                                None => { "Report of a " (job.options.model.to_string()) " scene" },
+                            }
+                        }
+                        p {
+                            span #state.{"state " (job.state.name())} { (job.state.name()) } " job " code { (job.id) }
+                            @for (key, value) in self.record.metadata.iter() { " " span.label { (key) ": " (value) } }
+                        }
+                        (downloads(&self.record))
                     }
                     main { (self.sections()) }
                     footer { p { "Made by tcgs " (env!("CARGO_PKG_VERSION")) ". Every figure is of the decoded file unless it says otherwise." } }
-                    @if job.metrics.is_some() { script { (PreEscaped(SCRIPT)) } }
+                    @if let Some(script) = script(job) { script { (PreEscaped(script)) } }
                 }
             }
         }
@@ -75,7 +96,7 @@ impl Page {
                     (pictures(&metrics.test, self.held_out.as_ref()))
                 }
                 None => {
-                    (standing(job))
+                    (standing(&self.record))
                     (curves(&self.record, &self.history))
                 }
             }
@@ -116,6 +137,21 @@ impl Page {
     }
 }
 
+/// Links to the files of a finished job. They are relative, so that a proxy may serve the page below a path.
+fn downloads(record: &JobRecord) -> Markup {
+    let Some(first) = record.scenes().next() else { return html! {} };
+    let file = first.format.extension();
+    html! {
+        p.downloads {
+            a href="artifact" download { "." (file) " (" (size(first.blob.bytes)) ")" }
+            @if first.format != SceneFormat::Ply { a href="export?format=ply" download { ".ply" } }
+            a href="export?format=spz" download { ".spz" }
+            a href="report?format=csv" download { "Figures as CSV" }
+            a href=(format!("../{}", record.job.id)) { "JSON" }
+        }
+    }
+}
+
 fn summary(metrics: &JobMetrics) -> Markup {
     let test = &metrics.test;
     let card = |name: &str, value: String, note: String| {
@@ -129,38 +165,6 @@ fn summary(metrics: &JobMetrics) -> Markup {
                 @if let Some(network) = test.lpips_network { (card("LPIPS", figure(test.lpips, 4), network.to_string())) }
                 (card("Size", bytes(metrics.bytes.total), format!("{} Gaussians", grouped(metrics.gaussians))))
                 (card("Training", duration(metrics.seconds.train), format!("{} steps", grouped(metrics.steps))))
-            }
-        }
-    }
-}
-
-/// The state of a job without a result.
-fn standing(job: &Job) -> Markup {
-    let progress = &job.progress;
-    html! {
-        section {
-            @match &job.error {
-                Some(problem) => {
-                    h2 { (problem.title) }
-                    p { (problem.detail) @if let Some(file) = &problem.file { " File: " code { (file) } "." } }
-                    p { code { (problem.kind) } }
-                }
-                None if job.state.is_terminal() => h2 { "The job was cancelled" },
-                None => {
-                    h2 { "In progress" }
-                    @match &progress.poses {
-                        Some(poses) => p {
-                            progress max=(poses.total.max(1)) value=(poses.done) {}
-                            " cameras are found: " (poses.stage.name()) " " (grouped(poses.done)) " of " (grouped(poses.total))
-                        },
-                        None => p {
-                            progress max=(progress.total.max(1)) value=(progress.step) {}
-                            " " (grouped(progress.step)) " of " (grouped(progress.total)) " steps"
-                            @if let Some(eta) = progress.eta_seconds { ", about " (duration(eta)) " of training left" }
-                        },
-                    }
-                    p.none { "This page loads itself again every " (REFRESH_SECONDS) " seconds." }
-                }
             }
         }
     }

@@ -39,6 +39,8 @@ pub static SQLITE: LazyLock<Migrator> = migrations! {
         "0018_publications",
         "0019_viewers",
         "0020_poses",
+        "0021_thumbnails",
+        "0022_sessions",
 };
 
 /// Migrations of PostgreSQL databases.
@@ -48,6 +50,8 @@ pub static POSTGRES: LazyLock<Migrator> = migrations! {
         "0002_publications",
         "0003_viewers",
         "0004_poses",
+        "0005_thumbnails",
+        "0006_sessions",
 };
 
 /// A migrator that records each file under its version and description.

@@ -430,6 +430,15 @@ impl Store {
     }
 
     /// Renews a lease, and returns whether the job is to stop.
+    /// Makes these the job's preview and the photograph beside it, instead of those before.
+    ///
+    /// # Errors
+    /// [`StoreError::LeaseLost`].
+    pub fn set_preview<'a>(&'a self, lease: &'a Lease, pictures: [BlobRef; 2]) -> StoreFuture<'a, ()> {
+        self.call("set_preview")
+            .run(self.write(async move |tx, now| queue::set_preview(tx, lease, pictures, now).await))
+    }
+
     pub fn heartbeat<'a>(&'a self, lease: &'a Lease) -> StoreFuture<'a, Heartbeat> {
         self.call("heartbeat").run(async move {
             let renewed =

@@ -75,6 +75,8 @@ pub(super) async fn a_browser_gets_a_page_of_its_jobs(coverage: Coverage) {
     assert_eq!(attributes(&elements, "data-act"), ["cancel", "delete"]);
     assert!(page.contains("30.00 dB, 55 B"), "{page}");
     assert!(!page.contains("<script>alert(1)") && attributes(&elements, "data-name").contains(&HOSTILE));
+    let thumbnail = format!("{}/thumbnail", &done[1..]);
+    assert!(attributes(&elements, "src").contains(&&*thumbnail));
     let links = attributes(&elements, "href");
     for job in [&done, &running] {
         let report = format!("{}/report", &job[1..]);
@@ -97,7 +99,7 @@ pub(super) async fn a_browser_gets_a_page_of_its_jobs(coverage: Coverage) {
     let program = server.send("GET", "/", |request| request.header("accept", "application/json")).await;
     program.expect_problem(404, "not-found");
     open(&server, "/?limit=0", None).await.expect_problem(422, "invalid-parameter");
-    open(&server, "/?colour=red", None).await.expect_problem(422, "invalid-parameter");
+    open(&server, "/?color=red", None).await.expect_problem(422, "invalid-parameter");
     for (failing, status, kind) in [(Failing::Busy, 503, "busy"), (Failing::Gone, 500, "internal")] {
         server.faults.set(Some(failing));
         open(&server, "/", None).await.expect_problem(status, kind);

@@ -170,6 +170,8 @@ scenarios! {
     }
     report {
         a_finished_job_is_reported_on_one_page,
+        a_finished_job_has_a_thumbnail,
+        a_job_in_training_has_a_preview,
         a_curve_is_reported_with_each_of_its_files,
         a_job_without_a_result_is_reported_as_it_stands,
     }
@@ -177,6 +179,7 @@ scenarios! {
         views_by_frame_pose_and_query_agree,
         views_come_in_three_formats_and_as_multipart,
         depth_and_alpha_are_served_as_pictures_and_as_numbers,
+        a_report_has_the_names_and_files_of_its_job,
         a_view_is_tagged_timed_and_rendered_once,
         a_view_that_many_ask_for_at_once_is_rendered_once,
         impossible_views_are_refused_by_name,
