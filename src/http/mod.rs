@@ -25,6 +25,7 @@ mod report;
 mod request;
 mod server;
 mod services;
+mod session;
 mod shared;
 mod state;
 mod uploads;
@@ -86,9 +87,9 @@ fn routes(state: AppState, more: Router<AppState>) -> Router {
         .route("/v1/jobs/{id}/series", get(jobs::series::get))
         .route("/v1/jobs/{id}/artifact", get(files::get))
         .route("/v1/jobs/{id}/artifacts", get(files::list))
-        .route("/v1/jobs/{id}/export", get(files::exports::get))
         .route("/v1/jobs/{id}/thumbnail", get(files::thumbnail))
         .route("/v1/jobs/{id}/preview", get(files::preview))
+        .route("/v1/jobs/{id}/export", get(files::exports::get))
         .route("/v1/artifacts/{sha256}", get(files::by_hash))
         .route("/v1/jobs/{id}/view", get(views::get))
         .route("/v1/jobs/{id}/views", post(views::post))
@@ -113,6 +114,7 @@ fn routes(state: AppState, more: Router<AppState>) -> Router {
         .route("/v1/keys", get(keys::list).post(keys::create))
         .route("/v1/keys/{id}", get(keys::get).patch(keys::change).delete(keys::revoke))
         .route("/", get(front::get))
+        .route("/session", post(session::begin).delete(session::end))
         .route("/healthz", get(server::health::healthz))
         .route("/readyz", get(server::readiness::readyz))
         .route("/version", get(server::health::version))

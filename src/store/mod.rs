@@ -33,6 +33,7 @@ pub mod publications;
 mod records;
 pub mod retention;
 mod retry;
+mod sessions;
 mod sql;
 mod stats;
 pub mod uploads;
@@ -65,6 +66,7 @@ pub use records::{
     JobFilter, JobRecord, JobVersion, Lease, MAX_QUEUE_POSITION, NewJob, Outcome, PageKey, RemovedJobs,
     RetryOutcome, RetryRequest, SHOWN_ATTEMPTS, SceneArtifact, WorkerDeath,
 };
+pub use sessions::{NewSession, SESSIONS_PER_KEY};
 pub use sql::{DatabaseLocation, InvalidDatabaseUrl, PostgresUrl, SchemaChange, Store};
 #[doc(hidden)]
 pub use sql::{StoreFaults, migrations};

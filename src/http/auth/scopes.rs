@@ -82,6 +82,8 @@ const OPERATIONS: &[(&str, &str, Access)] = &[
     ("PATCH", "/v1/keys/{id}", Needs(Admin)),
     ("DELETE", "/v1/keys/{id}", Needs(Admin)),
     ("GET", "/", Optional(Read)),
+    ("POST", "/session", Needs(Read)),
+    ("DELETE", "/session", Needs(Read)),
     ("GET", "/healthz", Open),
     ("GET", "/readyz", Open),
     ("GET", "/metrics", Needs(Admin)),
@@ -166,6 +168,10 @@ mod tests {
                     }
                     if matches!(&*method, "GET" | "HEAD") {
                         expected.push(json!({ "password": [name] }));
+                    }
+                    // A session cannot prolong itself.
+                    if (&*method, &*path) != ("POST", "/session") {
+                        expected.push(json!({ "session": [name] }));
                     }
                     assert_eq!(
                         operation["security"],

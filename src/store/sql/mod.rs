@@ -34,6 +34,7 @@ mod queue;
 mod retention;
 mod rows;
 mod series;
+mod sessions;
 mod stats;
 mod upkeep;
 mod uploads;
@@ -429,7 +430,6 @@ impl Store {
             .run(self.write(async move |tx, now| queue::use_posed_dataset(tx, lease, dataset, now).await))
     }
 
-    /// Renews a lease, and returns whether the job is to stop.
     /// Makes these the job's preview and the photograph beside it, instead of those before.
     ///
     /// # Errors
@@ -439,6 +439,7 @@ impl Store {
             .run(self.write(async move |tx, now| queue::set_preview(tx, lease, pictures, now).await))
     }
 
+    /// Renews a lease, and returns whether the job is to stop.
     pub fn heartbeat<'a>(&'a self, lease: &'a Lease) -> StoreFuture<'a, Heartbeat> {
         self.call("heartbeat").run(async move {
             let renewed =

@@ -22,6 +22,7 @@ mod secrets;
 mod sequences;
 mod series;
 mod service;
+mod sessions;
 mod uploads;
 mod views;
 mod webhooks;
@@ -71,6 +72,10 @@ scenarios! {
     front {
         a_browser_gets_a_page_of_its_jobs,
         the_page_shows_nothing_without_a_key,
+    }
+    sessions {
+        a_browser_signs_in_by_its_key_and_changes_things_from_its_own_pages_only,
+        a_session_ends_with_its_key_its_age_or_by_signing_out,
     }
     projects {
         a_leaked_key_is_replaced_and_nothing_is_lost,
@@ -165,21 +170,21 @@ scenarios! {
     }
     artifacts {
         the_file_is_served_whole_in_parts_and_conditionally,
+        a_finished_job_has_a_thumbnail,
+        a_job_in_training_has_a_preview,
         a_damaged_file_is_not_sent_as_the_whole_one,
         every_file_of_a_curve_is_served_by_its_weight,
     }
     report {
         a_finished_job_is_reported_on_one_page,
-        a_finished_job_has_a_thumbnail,
-        a_job_in_training_has_a_preview,
         a_curve_is_reported_with_each_of_its_files,
         a_job_without_a_result_is_reported_as_it_stands,
+        a_report_has_the_names_and_files_of_its_job,
     }
     views {
         views_by_frame_pose_and_query_agree,
         views_come_in_three_formats_and_as_multipart,
         depth_and_alpha_are_served_as_pictures_and_as_numbers,
-        a_report_has_the_names_and_files_of_its_job,
         a_view_is_tagged_timed_and_rendered_once,
         a_view_that_many_ask_for_at_once_is_rendered_once,
         impossible_views_are_refused_by_name,

@@ -287,7 +287,17 @@ const OBJECTS: &[(&str, &[(&str, &str)])] = &[
             ("examples", "{example}"),
         ],
     ),
-    ("security", &[("type", "any"), ("scheme", "any"), ("bearerFormat", "any"), ("description", "text")]),
+    (
+        "security",
+        &[
+            ("in", "any"),
+            ("name", "any"),
+            ("type", "any"),
+            ("scheme", "any"),
+            ("bearerFormat", "any"),
+            ("description", "text"),
+        ],
+    ),
     (
         "path",
         &[
