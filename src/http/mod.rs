@@ -27,6 +27,7 @@ mod server;
 mod services;
 mod session;
 mod shared;
+mod shares;
 mod state;
 mod uploads;
 mod usage;
@@ -37,8 +38,9 @@ mod webhooks;
 use axum::{
     Router,
     middleware::{from_fn, from_fn_with_state, map_response},
-    routing::{get, head, options, post},
+    routing::{delete, get, head, options, post},
 };
+use tower::ServiceExt as _;
 use tower_http::catch_panic::CatchPanicLayer;
 
 pub use client_address::{ProxyNetwork, TrustedProxies};
@@ -78,7 +80,8 @@ fn routes(state: AppState, more: Router<AppState>) -> Router {
             head(uploads::head).patch(uploads::append).delete(uploads::delete).post(uploads::overridden),
         )
         .layer(map_response(uploads::tus::stamp));
-    more.route("/v1/jobs", get(jobs::list::list).post(jobs::create::create))
+    let routes = more
+        .route("/v1/jobs", get(jobs::list::list).post(jobs::create::create))
         .route("/v1/estimate", post(estimate::estimate))
         .route("/v1/jobs/{id}", get(jobs::get).delete(jobs::actions::delete))
         .route("/v1/jobs/{id}/cancel", post(jobs::actions::cancel))
@@ -99,6 +102,8 @@ fn routes(state: AppState, more: Router<AppState>) -> Router {
             get(views::sequence::animation).post(views::sequence::animation_path),
         )
         .route("/v1/jobs/{id}/report", get(report::get))
+        .route("/v1/jobs/{id}/shares", get(shares::list).post(shares::create))
+        .route("/v1/jobs/{id}/shares/{share}", delete(shares::revoke))
         .route("/v1/datasets", get(datasets::list).post(datasets::create::create))
         .route("/v1/datasets/{id}", get(datasets::get).delete(datasets::delete))
         .route("/v1/scenes", get(datasets::list).post(datasets::create::create))
@@ -125,5 +130,7 @@ fn routes(state: AppState, more: Router<AppState>) -> Router {
         .layer(from_fn(server::head::bounded))
         .layer(from_fn(server::drain_body::drain_unread))
         .layer(from_fn_with_state(state.clone(), server::middleware::wrap))
-        .with_state(state)
+        .with_state(state);
+    // Before routing, so that a shared link has the routes of what it opens.
+    Router::new().fallback_service(routes.map_request(auth::shared_link::take_token))
 }

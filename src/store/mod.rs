@@ -34,6 +34,7 @@ mod records;
 pub mod retention;
 mod retry;
 mod sessions;
+mod shares;
 mod sql;
 mod stats;
 pub mod uploads;
@@ -67,6 +68,7 @@ pub use records::{
     RetryOutcome, RetryRequest, SHOWN_ATTEMPTS, SceneArtifact, WorkerDeath,
 };
 pub use sessions::{NewSession, SESSIONS_PER_KEY};
+pub use shares::{NewShare, SHARES_PER_JOB, ShareRecord};
 pub use sql::{DatabaseLocation, InvalidDatabaseUrl, PostgresUrl, SchemaChange, Store};
 #[doc(hidden)]
 pub use sql::{StoreFaults, migrations};

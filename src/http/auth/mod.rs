@@ -11,6 +11,7 @@
 //!   requests that change nothing.
 //! - A session's cookie comes with requests of this service's pages alone (`SameSite=Strict`). One that could change something must also
 //!   say so itself (`Sec-Fetch-Site: same-origin`), which no page can forge.
+//! - A shared link opens reads of one job ([`shared_link`]), without a key and whatever keys there are.
 //! - Handlers that extract a [`Caller`] run only after this middleware.
 //! - No handler sees the key, and none but those of sessions their hash.
 
@@ -20,6 +21,7 @@ mod host;
 pub(super) mod revocation;
 mod scopes;
 mod session_cookie;
+pub(super) mod shared_link;
 
 use axum::{
     extract::{MatchedPath, Request, State},
@@ -35,6 +37,7 @@ use self::{
     host::{Hosts, only},
     scopes::Access,
     session_cookie::take_session,
+    shared_link::{LinkRequest, PathToken},
 };
 use super::{
     client_address::{ClientAddress, TrustedProxies},
@@ -75,6 +78,9 @@ pub(super) async fn authenticate(
     if let Err(error) = admit_page(&mut request, &open, &credentials) {
         return error.into_response();
     }
+    if let Some(token) = request.extensions_mut().remove::<PathToken>() {
+        return by_link(&state, token, request, route, next).await;
+    }
     if is_open_to_all {
         return next.run(request).await;
     }
@@ -114,6 +120,27 @@ pub(super) async fn authenticate(
     }
     ProblemResponse::internal(&std::io::Error::other(format!("{place} has no row in http/auth/scopes.rs")))
         .into_response()
+}
+
+/// Passes a request by a shared link to its handler, if the link opens that. Links that open nothing count as keys that are none do.
+async fn by_link(
+    state: &AppState,
+    token: PathToken,
+    mut request: Request,
+    route: Option<String>,
+    next: Next,
+) -> Response {
+    let client = ClientInfo::of(&request, &state.limits.access.trusted_proxies);
+    let (caller, link) = match shared_link::admit(state, token, LinkRequest::of(&request, route)).await {
+        Ok(admitted) => admitted,
+        Err(error) => {
+            let over = state.throttle.failure(client.address).err();
+            return over.map_or(error, |wait| too_many_failures(client.reads, wait)).into_response();
+        }
+    };
+    request.extensions_mut().insert(caller);
+    request.extensions_mut().insert(link);
+    next.run(request).await
 }
 
 /// Refuses foreign host names and forged requests. If it is unknown whether keys are required, they count as not required.

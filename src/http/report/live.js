@@ -46,9 +46,10 @@
   // A browser does not come again after a refusal, such as that of too many streams.
   source.addEventListener('error', () => { if (source.readyState === EventSource.CLOSED) setInterval(refresh, 5 * LOOK_MS); });
 
-  const cancel = at('cancel');
-  cancel.hidden = false;
   tell('');
+  const cancel = at('cancel');
+  if (!cancel) return;
+  cancel.hidden = false;
   cancel.addEventListener('click', async () => {
     cancel.disabled = true;
     try {

@@ -28,6 +28,7 @@ use self::{
     page::{Page, STYLE, script},
 };
 use super::{
+    auth::shared_link::OptionalLink,
     html,
     jobs::OwnedJob,
     problem::{Answer as _, ApiResult, ProblemResponse},
@@ -46,6 +47,7 @@ const FORM: &str = env!("CARGO_PKG_VERSION");
 pub(super) async fn get(
     State(state): State<AppState>,
     OwnedJob(record): OwnedJob,
+    link: OptionalLink,
     mut parameters: Parameters,
     headers: HeaderMap,
 ) -> ApiResult {
@@ -72,7 +74,8 @@ pub(super) async fn get(
     let held_out: Option<HeldOut> = document(&state, &record, ArtifactKind::HeldOut).await?;
     let cameras: Option<Vec<NamedCamera>> = document(&state, &record, ArtifactKind::Cameras).await?;
     let policy = html::policy(script(&record.job).unwrap_or_default(), STYLE);
-    let page = Page { record, history, held_out, cameras: cameras.unwrap_or_default() }.html();
+    let cameras = cameras.unwrap_or_default();
+    let page = Page { record, history, held_out, cameras, link }.html();
     let mut response = html::page(page, policy)?;
     response.headers_mut().insert(header::ETAG, etag.value());
     Ok(response)

@@ -15,7 +15,7 @@ use super::{
 };
 use crate::{
     domain::{HeldOut, Job, JobMetrics, NamedCamera, SceneFormat},
-    http::jobs::body::href,
+    http::{auth::shared_link::OptionalLink, jobs::body::href},
     store::JobRecord,
 };
 
@@ -33,7 +33,7 @@ pub(super) fn script(job: &Job) -> Option<&'static str> {
     }
 }
 
-const VIEWER: &str = include_str!("viewer.js");
+const VIEWER: &str = concat!(include_str!("place.js"), include_str!("viewer.js"), include_str!("share.js"));
 const LIVE: &str = include_str!("live.js");
 
 /// What the page is made from.
@@ -43,6 +43,8 @@ pub(super) struct Page {
     pub(super) history: History,
     pub(super) held_out: Option<HeldOut>,
     pub(super) cameras: Vec<NamedCamera>,
+    /// The shared link that it is shown by.
+    pub(super) link: OptionalLink,
 }
 
 impl Page {
@@ -62,7 +64,7 @@ impl Page {
                 body {
                     header {
                         // From the report of a job to the page of all.
-                        nav { a href="../../../" { "All scenes" } }
+                        @if !self.is_shared() { nav { a href="../../../" { "All scenes" } } }
                         h1 {
                             @match &self.record.name {
                                 Some(name) => (name),
@@ -73,7 +75,10 @@ impl Page {
                             span #state.{"state " (job.state.name())} { (job.state.name()) } " job " code { (job.id) }
                             @for (key, value) in self.record.metadata.iter() { " " span.label { (key) ": " (value) } }
                         }
-                        (downloads(&self.record))
+                        (self.downloads())
+                        @if !self.is_shared() && job.metrics.is_some() {
+                            p { button #share type="button" hidden { "Share this page" } " " span #shared.none role="status" {} }
+                        }
                     }
                     main { (self.sections()) }
                     footer { p { "Made by tcgs " (env!("CARGO_PKG_VERSION")) ". Every figure is of the decoded file unless it says otherwise." } }
@@ -96,11 +101,30 @@ impl Page {
                     (pictures(&metrics.test, self.held_out.as_ref()))
                 }
                 None => {
-                    (standing(&self.record))
+                    (standing(&self.record, self.is_shared()))
                     (curves(&self.record, &self.history))
                 }
             }
             (settings(&self.record))
+        }
+    }
+
+    fn is_shared(&self) -> bool {
+        self.link.prefix.is_some()
+    }
+
+    /// Links to the files of a finished job. They are relative, so that a proxy may serve the page below a path.
+    fn downloads(&self) -> Markup {
+        let Some(first) = self.record.scenes().next() else { return html! {} };
+        let file = first.format.extension();
+        html! {
+            p.downloads {
+                a href="artifact" download { "." (file) " (" (size(first.blob.bytes)) ")" }
+                @if first.format != SceneFormat::Ply { a href="export?format=ply" download { ".ply" } }
+                a href="export?format=spz" download { ".spz" }
+                a href="report?format=csv" download { "Figures as CSV" }
+                @if !self.is_shared() { a href=(format!("../{}", self.record.job.id)) { "JSON" } }
+            }
         }
     }
 
@@ -115,7 +139,7 @@ impl Page {
             section.viewer {
                 h2 { "Viewer" }
                 figure #viewer tabindex="0" aria-label="The scene; drag or use the arrow keys to turn it"
-                    data-href=(format!("{}/view", href(self.record.job.id)))
+                    data-href=(format!("{}{}/view", self.link.prefix.as_deref().unwrap_or_default(), href(self.record.job.id)))
                     data-position=(vector(position)) data-center=(vector(center)) data-up=(vector(up))
                     data-fov=(fov) data-aspect=(aspect) {
                     @match poster {
@@ -133,21 +157,6 @@ impl Page {
                     }
                 }
             }
-        }
-    }
-}
-
-/// Links to the files of a finished job. They are relative, so that a proxy may serve the page below a path.
-fn downloads(record: &JobRecord) -> Markup {
-    let Some(first) = record.scenes().next() else { return html! {} };
-    let file = first.format.extension();
-    html! {
-        p.downloads {
-            a href="artifact" download { "." (file) " (" (size(first.blob.bytes)) ")" }
-            @if first.format != SceneFormat::Ply { a href="export?format=ply" download { ".ply" } }
-            a href="export?format=spz" download { ".spz" }
-            a href="report?format=csv" download { "Figures as CSV" }
-            a href=(format!("../{}", record.job.id)) { "JSON" }
         }
     }
 }

@@ -9,7 +9,7 @@ use crate::{
 };
 
 /// The section. The page's script keeps that of an unfinished job up to date.
-pub(super) fn standing(record: &JobRecord) -> Markup {
+pub(super) fn standing(record: &JobRecord, is_shared: bool) -> Markup {
     let job = &record.job;
     html! {
         @match &job.error {
@@ -17,19 +17,19 @@ pub(super) fn standing(record: &JobRecord) -> Markup {
                 h2 { (problem.title) }
                 p { (problem.detail) @if let Some(file) = &problem.file { " File: " code { (file) } "." } }
                 p { code { (problem.kind) } }
-                (ended(record))
+                (ended(record, is_shared))
             },
             None if job.state.is_terminal() => section {
                 h2 { "The job was cancelled" }
-                (ended(record))
+                (ended(record, is_shared))
             },
             None => section #live {
                 h2 { "In progress" }
                 p #progress { (progress(job)) }
                 (pictures(record))
                 p {
-                    button #cancel type="button" hidden disabled[job.cancel_requested] { "Cancel" }
-                    " " span #told.none role="status" { noscript { "The page follows the job in a browser with scripts." } }
+                    @if !is_shared { button #cancel type="button" hidden disabled[job.cancel_requested] { "Cancel" } " " }
+                    span #told.none role="status" { noscript { "The page follows the job in a browser with scripts." } }
                 }
             },
         }
@@ -55,14 +55,16 @@ fn progress(job: &Job) -> Markup {
 }
 
 /// How far the job came, what it looked like then, and how to go on.
-fn ended(record: &JobRecord) -> Markup {
+fn ended(record: &JobRecord, is_shared: bool) -> Markup {
     let progress = &record.job.progress;
     html! {
         p {
             @if progress.step > 0 {
                 "It came to step " (grouped(progress.step)) " of " (grouped(progress.total)) ". "
             }
-            "Another job of the same kind, from its last checkpoint if there is one: " code { "tcgs retry " (record.job.id) }
+            @if !is_shared {
+                "Another job of the same kind, from its last checkpoint if there is one: " code { "tcgs retry " (record.job.id) }
+            }
         }
         @if record.artifact(ArtifactKind::Preview).is_some() { (pictures(record)) }
     }

@@ -41,6 +41,7 @@ pub static SQLITE: LazyLock<Migrator> = migrations! {
         "0020_poses",
         "0021_thumbnails",
         "0022_sessions",
+        "0023_shares",
 };
 
 /// Migrations of PostgreSQL databases.
@@ -52,6 +53,7 @@ pub static POSTGRES: LazyLock<Migrator> = migrations! {
         "0004_poses",
         "0005_thumbnails",
         "0006_sessions",
+        "0007_shares",
 };
 
 /// A migrator that records each file under its version and description.

@@ -35,6 +35,7 @@ mod retention;
 mod rows;
 mod series;
 mod sessions;
+mod shares;
 mod stats;
 mod upkeep;
 mod uploads;

@@ -23,6 +23,7 @@ mod sequences;
 mod series;
 mod service;
 mod sessions;
+mod shares;
 mod uploads;
 mod views;
 mod webhooks;
@@ -76,6 +77,11 @@ scenarios! {
     sessions {
         a_browser_signs_in_by_its_key_and_changes_things_from_its_own_pages_only,
         a_session_ends_with_its_key_its_age_or_by_signing_out,
+    }
+    shares {
+        a_link_opens_a_jobs_page_and_what_it_shows_and_nothing_else,
+        a_link_may_open_one_thing_alone,
+        every_replica_knows_the_links_of_the_others,
     }
     projects {
         a_leaked_key_is_replaced_and_nothing_is_lost,
