@@ -164,10 +164,11 @@
     at('dataset-text').textContent = test ? `${grouped(train)} photographs to train on, ${grouped(test)} held out.` : `${grouped(train)} photographs.`;
     at('name').value = name.slice(0, 100);
     attempt = `${Date.now()}-${Math.random()}`;
+    const outputs = [...at('train').querySelectorAll('[data-preset]')];
+    for (const output of outputs) output.textContent = '';
     show('train');
     at('train').querySelector('button').focus();
-    for (const output of at('train').querySelectorAll('[data-preset]')) {
-      output.textContent = '';
+    for (const output of outputs) {
       try {
         const estimate = await post('v1/estimate', { dataset_id: dataset.id, preset: output.dataset.preset });
         const time = estimate.seconds ? span(estimate.seconds, duration) : 'a time not known yet';

@@ -24,15 +24,29 @@ pub(super) fn job_versions(filter: &JobFilter, limit: u32) -> Query {
     matching_jobs(list, filter, None, limit)
 }
 
-/// The same of the jobs in one state that the filter lets through whatever states it names. Each state is part of the statement, since the
-/// indexes of queued and of running jobs serve only statements that name it.
+/// The same of the queued and of the running jobs that the filter lets through, whatever states it names. Each state is part of the
+/// statement, since the indexes of queued and of running jobs serve only statements that name it. Without a project SQLite has to be told,
+/// or it would go through the whole history by age.
 pub(super) fn active_job_versions(filter: &JobFilter, limit: u32) -> [Query; 2] {
+    const QUEUED: &str = "SELECT jobs.id, jobs.version, jobs.state FROM jobs WHERE state = 'queued'";
+    const RUNNING: &str = "SELECT jobs.id, jobs.version, jobs.state FROM jobs WHERE state = 'running'";
+    let statements: [Sql; 2] = match filter.project {
+        Some(_) => [QUEUED.into(), RUNNING.into()],
+        None => [
+            Sql {
+                sqlite: "SELECT jobs.id, jobs.version, jobs.state FROM jobs INDEXED BY jobs_queued_by_age
+                     WHERE state = 'queued'",
+                postgres: QUEUED,
+            },
+            Sql {
+                sqlite: "SELECT jobs.id, jobs.version, jobs.state FROM jobs INDEXED BY jobs_by_lease
+                     WHERE state = 'running'",
+                postgres: RUNNING,
+            },
+        ],
+    };
     let of_any_state = JobFilter { states: Vec::new(), ..filter.clone() };
-    [
-        "SELECT jobs.id, jobs.version, jobs.state FROM jobs WHERE state = 'queued'",
-        "SELECT jobs.id, jobs.version, jobs.state FROM jobs WHERE state = 'running'",
-    ]
-    .map(|statement| matching_jobs(query(statement), &of_any_state, None, limit))
+    statements.map(|statement| matching_jobs(query(statement), &of_any_state, None, limit))
 }
 
 /// Continues a statement that ends within the condition on `jobs`.

@@ -27,8 +27,10 @@ async fn choose(page: &mut Page, input: &str, files: &[&Path]) {
 /// Waits for the estimates, and trains.
 async fn train(page: &mut Page) {
     let told = "[...document.querySelectorAll('#train output')].filter(told => told.textContent.includes(' steps, ')).length";
+    page.until("document.querySelector('#train').hidden", |hidden| *hidden == false).await;
     page.until(told, |count| *count == 3).await;
     page.evaluate("document.querySelector('#train button').click()").await;
+    page.until("document.querySelector('#train').hidden", |hidden| *hidden == true).await;
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
