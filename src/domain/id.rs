@@ -39,6 +39,8 @@ identities! {
     ProjectId;
     /// A key's identity: a UUID of version 7.
     KeyId;
+    /// The identity of a shared link: a UUID of version 7.
+    ShareId;
     /// An endpoint's identity: a UUID of version 7.
     EndpointId;
     /// A message's identity to one endpoint, the same in every attempt to deliver it.

@@ -58,7 +58,7 @@ impl ApiKey {
     /// The hash that is stored.
     #[must_use]
     pub fn hash(&self) -> KeyHash {
-        KeyHash(Digest::of(self.expose().as_bytes()))
+        KeyHash::of(self.expose())
     }
 }
 
@@ -79,11 +79,16 @@ impl FromStr for ApiKey {
     }
 }
 
-/// SHA-256 of a key. Keys are random and long, so a slow hash would protect nothing more.
+/// SHA-256 of a key, or of a session's token. Both are random and long, so a slow hash would protect nothing more.
 #[derive(Clone, Copy)]
 pub struct KeyHash(Digest);
 
 impl KeyHash {
+    /// Of a secret that is random and long.
+    pub(super) fn of(secret: &str) -> Self {
+        Self(Digest::of(secret.as_bytes()))
+    }
+
     /// The hash as 64 hex digits, for the database.
     #[must_use]
     pub fn expose(&self) -> String {

@@ -166,6 +166,8 @@ with_defaults! {
         pub keep_alive: Duration = Duration::from_secs(15),
         /// How often the key of an open event stream is checked for revocation.
         pub key_recheck_interval: Duration = Duration::from_secs(2),
+        /// How long a browser's session lasts; it ends earlier with its key.
+        pub session_ttl: Duration = Duration::from_secs(30 * 24 * 3600),
         /// Webhook endpoints of one key.
         pub webhook_endpoints: u32 = 10,
         /// Where webhook endpoints may be.

@@ -10,6 +10,8 @@ pub mod config;
 mod datasets;
 mod estimate;
 mod files;
+mod front;
+mod html;
 mod jobs;
 mod keys;
 mod meters;
@@ -24,7 +26,9 @@ mod report;
 mod request;
 mod server;
 mod services;
+mod session;
 mod shared;
+mod shares;
 mod state;
 mod uploads;
 mod usage;
@@ -36,9 +40,9 @@ mod webhooks;
 use axum::{
     Router,
     middleware::{from_fn, from_fn_with_state, map_response},
-    routing::{get, head, options, post},
+    routing::{delete, get, head, options, post},
 };
-use tower::util::option_layer;
+use tower::{ServiceExt as _, util::option_layer};
 use tower_http::catch_panic::CatchPanicLayer;
 
 use server::cors::Cors;
@@ -83,7 +87,8 @@ fn routes(state: AppState, more: Router<AppState>) -> Router {
         .layer(map_response(uploads::tus::stamp));
     let origins = &state.limits.access.allowed_origins;
     let cors = (!origins.0.is_empty()).then(|| from_fn_with_state(Cors::new(origins), server::cors::share));
-    more.route("/v1/jobs", get(jobs::list::list).post(jobs::create::create))
+    let routes = more
+        .route("/v1/jobs", get(jobs::list::list).post(jobs::create::create))
         .route("/v1/estimate", post(estimate::estimate))
         .route("/v1/jobs/{id}", get(jobs::get).patch(jobs::change::change).delete(jobs::actions::delete))
         .route("/v1/jobs/{id}/cancel", post(jobs::actions::cancel))
@@ -92,6 +97,8 @@ fn routes(state: AppState, more: Router<AppState>) -> Router {
         .route("/v1/jobs/{id}/series", get(jobs::series::get))
         .route("/v1/jobs/{id}/artifact", get(files::get))
         .route("/v1/jobs/{id}/artifacts", get(files::list))
+        .route("/v1/jobs/{id}/thumbnail", get(files::thumbnail))
+        .route("/v1/jobs/{id}/preview", get(files::preview))
         .route("/v1/jobs/{id}/export", get(files::exports::get))
         .route("/v1/artifacts/{sha256}", get(files::by_hash))
         .route("/v1/jobs/{id}/cameras", get(views::cameras::get))
@@ -104,6 +111,8 @@ fn routes(state: AppState, more: Router<AppState>) -> Router {
         )
         .route("/v1/jobs/{id}/report", get(report::get))
         .route("/v1/jobs/{id}/viewer", get(viewer_page::page))
+        .route("/v1/jobs/{id}/shares", get(shares::list).post(shares::create))
+        .route("/v1/jobs/{id}/shares/{share}", delete(shares::revoke))
         .route("/v1/datasets", get(datasets::list).post(datasets::create::create))
         .route("/v1/datasets/{id}", get(datasets::get).delete(datasets::delete))
         .route("/v1/scenes", get(datasets::list).post(datasets::create::create))
@@ -118,17 +127,22 @@ fn routes(state: AppState, more: Router<AppState>) -> Router {
         .route("/v1/usage", get(usage::get))
         .route("/v1/keys", get(keys::list).post(keys::create))
         .route("/v1/keys/{id}", get(keys::get).patch(keys::change).delete(keys::revoke))
+        .route("/", get(front::get))
+        .route("/session", post(session::begin).delete(session::end))
         .route("/healthz", get(server::health::healthz))
         .route("/readyz", get(server::readiness::readyz))
         .route("/version", get(server::health::version))
         .route("/openapi.yaml", get(server::health::openapi))
         .route("/viewer/worker.js", get(viewer_page::worker))
         .route("/viewer/module.wasm", get(viewer_page::module))
+        .route("/openapi.json", get(server::health::openapi_json))
         .layer(from_fn_with_state(state.clone(), auth::authenticate))
         .layer(CatchPanicLayer::custom(server::middleware::panicked))
         .layer(from_fn(server::head::bounded))
         .layer(from_fn(server::drain_body::drain_unread))
         .layer(option_layer(cors))
         .layer(from_fn_with_state(state.clone(), server::middleware::wrap))
-        .with_state(state)
+        .with_state(state);
+    // Before routing, so that a shared link has the routes of what it opens.
+    Router::new().fallback_service(routes.map_request(auth::shared_link::take_token))
 }

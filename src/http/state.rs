@@ -2,7 +2,7 @@
 
 use std::{fmt, ops::Deref, sync::Arc};
 
-use tokio::sync::Semaphore;
+use tokio::sync::{OnceCell, Semaphore};
 use tokio_util::sync::CancellationToken;
 
 use super::{
@@ -17,7 +17,7 @@ use super::{
     },
 };
 use crate::{
-    domain::{KeyId, ProjectId},
+    domain::{KeyId, ProjectId, ShareSecret},
     store::{Blobs, Store},
 };
 
@@ -47,6 +47,8 @@ pub struct App {
     pub(super) auth_mode: AuthMode,
     pub(super) throttle: Throttle,
     pub(super) reservations: Reservations,
+    /// What shared links are signed with, once it has been read.
+    share_secret: OnceCell<ShareSecret>,
 }
 
 impl Deref for AppState {
@@ -101,11 +103,25 @@ impl AppState {
             auth_mode,
             throttle,
             reservations,
+            share_secret: OnceCell::new(),
         }))
     }
 
     pub(super) fn store(&self) -> &Store {
         &self.services.store
+    }
+
+    /// What shared links are signed with, the same in every process of the service.
+    ///
+    /// # Errors
+    /// If the database cannot be read.
+    pub(super) async fn share_secret(&self) -> ApiResult<&ShareSecret> {
+        let read = async || {
+            let offered = ShareSecret::generate(&*self.services.entropy);
+            let offered = offered.map_err(|error| ProblemResponse::internal(&error))?;
+            Ok::<_, ProblemResponse>(self.store().share_secret(offered).await?)
+        };
+        self.share_secret.get_or_try_init(read).await
     }
 
     pub(super) fn blobs(&self) -> &Blobs {

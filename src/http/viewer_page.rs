@@ -4,12 +4,14 @@ use std::sync::LazyLock;
 
 use axum::{
     extract::State,
-    http::{HeaderMap, HeaderName, HeaderValue, header},
+    http::{HeaderMap, HeaderValue, header},
     response::{IntoResponse as _, Response},
 };
 use serde::de::DeserializeOwned;
 
 use super::{
+    auth::shared_link::OptionalLink,
+    html,
     jobs::OwnedJob,
     problem::{Answer as _, ApiResult, ProblemResponse},
     request::{Etag, Parameters, accepts, not_modified},
@@ -21,8 +23,9 @@ use crate::{
     viewer_page::{Assets, FileLink, Links, Stop, ViewerScene, assets, served, served_policy},
 };
 
-/// From the page's folder to the service's first.
+/// From the page's folder to the service's first, and that from the page of a link, which lies two folders deeper.
 const ROOT: &str = "../../..";
+const ROOT_OF_LINK: &str = "../../../../..";
 
 static POLICY: LazyLock<Option<HeaderValue>> = LazyLock::new(|| HeaderValue::try_from(served_policy()).ok());
 
@@ -37,6 +40,7 @@ static BUILD: LazyLock<String> = LazyLock::new(|| {
 pub(super) async fn page(
     State(state): State<AppState>,
     OwnedJob(record): OwnedJob,
+    link: OptionalLink,
     parameters: Parameters,
     headers: HeaderMap,
 ) -> ApiResult {
@@ -53,22 +57,11 @@ pub(super) async fn page(
         document(&state, &record, ArtifactKind::Cameras).await?.unwrap_or_default();
     let held_out: Option<HeldOut> = document(&state, &record, ArtifactKind::HeldOut).await?;
     let scene = ViewerScene {
-        links: Some(links(file.format, file.blob.bytes)),
+        links: Some(links(file.format, file.blob.bytes, &link)),
         ..scene_of(&record, &cameras, held_out)?
     };
-    let policy = POLICY.clone().ok_or_else(super::problem::internal)?;
-    let mut response = served(&scene).into_response();
-    let answer = response.headers_mut();
-    for (name, value) in [
-        (header::CONTENT_TYPE, HeaderValue::from_static("text/html; charset=utf-8")),
-        (header::CONTENT_SECURITY_POLICY, policy),
-        (header::CACHE_CONTROL, HeaderValue::from_static("private, no-cache")),
-        (header::ETAG, etag.value()),
-        (header::REFERRER_POLICY, HeaderValue::from_static("no-referrer")),
-        (HeaderName::from_static("cross-origin-resource-policy"), HeaderValue::from_static("same-origin")),
-    ] {
-        answer.insert(name, value);
-    }
+    let mut response = html::page(served(&scene), POLICY.clone())?;
+    response.headers_mut().insert(header::ETAG, etag.value());
     Ok(response)
 }
 
@@ -156,7 +149,8 @@ fn scene_of(
 }
 
 /// Where the page finds the rest.
-fn links(format: SceneFormat, bytes: u64) -> Links {
+fn links(format: SceneFormat, bytes: u64, link: &OptionalLink) -> Links {
+    let root = if link.prefix.is_some() { ROOT_OF_LINK } else { ROOT };
     let why = match (format, assets()) {
         (SceneFormat::Tcgs, Some(_)) => None,
         (SceneFormat::Tcgs, None) => Some("This service was built without the viewer for browsers."),
@@ -165,8 +159,8 @@ fn links(format: SceneFormat, bytes: u64) -> Links {
     Links {
         file: why.is_none().then(|| FileLink { href: "artifact".to_owned(), bytes }),
         why: why.map(str::to_owned),
-        module: format!("{ROOT}/viewer/module.wasm"),
-        worker: format!("{ROOT}/viewer/worker.js"),
+        module: format!("{root}/viewer/module.wasm"),
+        worker: format!("{root}/viewer/worker.js"),
         view: "view".to_owned(),
         report: "report".to_owned(),
     }

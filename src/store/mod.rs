@@ -33,6 +33,8 @@ pub mod publications;
 mod records;
 pub mod retention;
 mod retry;
+mod sessions;
+mod shares;
 mod sql;
 mod stats;
 pub mod uploads;
@@ -62,9 +64,11 @@ pub use projects::{
 pub use publications::BlobPlace;
 pub use records::{
     Artifact, ArtifactKind, AttemptOutcome, AttemptRecord, BlobRef, Cancellation, Claim, Deletion, Heartbeat,
-    JobChange, JobDataset, JobFilter, JobRecord, JobUpdate, Lease, MAX_QUEUE_POSITION, NewJob, Outcome,
-    PageKey, RemovedJobs, RetryOutcome, RetryRequest, SHOWN_ATTEMPTS, SceneArtifact, WorkerDeath,
+    JobChange, JobDataset, JobFilter, JobRecord, JobUpdate, JobVersion, Lease, MAX_QUEUE_POSITION, NewJob,
+    Outcome, PageKey, RemovedJobs, RetryOutcome, RetryRequest, SHOWN_ATTEMPTS, SceneArtifact, WorkerDeath,
 };
+pub use sessions::{NewSession, SESSIONS_PER_KEY};
+pub use shares::{NewShare, SHARES_PER_JOB, ShareRecord};
 pub use sql::{DatabaseLocation, InvalidDatabaseUrl, PostgresUrl, SchemaChange, Store};
 #[doc(hidden)]
 pub use sql::{StoreFaults, migrations};

@@ -100,6 +100,13 @@ pub enum ArtifactKind {
     /// COLMAP's model of the cameras that were found, as a zip archive.
     #[serde(rename = "sparse_model")]
     SparseModel,
+    /// A small JPEG of one view, for lists.
+    Thumbnail,
+    /// A JPEG of the model in training; replaced by the next one, and removed once the job succeeds.
+    Preview,
+    /// The photograph beside the preview.
+    #[serde(rename = "preview_photograph")]
+    PreviewPhotograph,
     /// The finished scene.
     #[serde(untagged)]
     Scene(SceneFormat),
@@ -113,6 +120,9 @@ impl ArtifactKind {
             ArtifactKind::Cameras => "cameras",
             ArtifactKind::HeldOut => "held_out",
             ArtifactKind::SparseModel => "sparse_model",
+            ArtifactKind::Thumbnail => "thumbnail",
+            ArtifactKind::Preview => "preview",
+            ArtifactKind::PreviewPhotograph => "preview_photograph",
             ArtifactKind::Scene(format) => format.name(),
         }
     }
@@ -167,7 +177,7 @@ pub struct JobRecord {
     pub needs: Preparation,
     /// As in [`NewJob::photographs`].
     pub photographs: Option<Digest>,
-    /// Its artifacts; empty unless it succeeded. Files of a rate-distortion curve are in its order.
+    /// Its artifacts; but for previews empty unless it succeeded. Files of a rate-distortion curve are in its order.
     pub artifacts: Vec<Artifact>,
 }
 
@@ -184,7 +194,12 @@ impl JobRecord {
             ArtifactKind::Scene(format) => {
                 Some(SceneArtifact { format, lambda: artifact.lambda, blob: artifact.blob })
             }
-            ArtifactKind::Cameras | ArtifactKind::HeldOut | ArtifactKind::SparseModel => None,
+            ArtifactKind::Cameras
+            | ArtifactKind::HeldOut
+            | ArtifactKind::SparseModel
+            | ArtifactKind::Thumbnail
+            | ArtifactKind::Preview
+            | ArtifactKind::PreviewPhotograph => None,
         })
     }
 }
@@ -214,6 +229,14 @@ pub struct JobFilter {
     pub created_before: Option<Timestamp>,
     /// Only those with these labels.
     pub metadata: Metadata,
+}
+
+/// What tells whether a job has changed.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct JobVersion {
+    /// As in [`Job::version`].
+    pub version: u64,
+    pub state: JobState,
 }
 
 /// A position in the list of jobs.

@@ -103,8 +103,8 @@ pub struct FileLink {
 
 /// The page of a service.
 #[must_use]
-pub fn served(scene: &ViewerScene) -> String {
-    page(scene, None, &html! {}).into_string()
+pub fn served(scene: &ViewerScene) -> Markup {
+    page(scene, None, &html! {})
 }
 
 /// A complete page that shows `file`, a `.tcgs` file.

@@ -14,7 +14,7 @@ use tokio::{
 use tokio_util::sync::CancellationToken;
 use tracing::Span;
 
-use super::{deps::WorkerDeps, series_buffer::SeriesBuffer};
+use super::{deps::WorkerDeps, previews::Previews, series_buffer::SeriesBuffer};
 use crate::{
     domain::{CancelFlag, Phase, Progress},
     pipeline::JobError,
@@ -83,6 +83,7 @@ pub(super) struct LeaseKeeper<'a> {
     cancel: CancelFlag,
     progress: watch::Receiver<(Phase, Progress)>,
     points: SeriesBuffer,
+    previews: Previews,
     /// Why the work is to stop.
     pub(super) stop: StopReason,
     pub(super) last_renewed: Instant,
@@ -97,6 +98,7 @@ impl<'a> LeaseKeeper<'a> {
             cancel: CancelFlag::default(),
             progress: watch::channel((Phase::Ingest, Progress::default())).1,
             points: SeriesBuffer::default(),
+            previews: Previews::default(),
             stop: StopReason::None,
             last_renewed,
             last_progress: Instant::now(),
@@ -110,13 +112,14 @@ impl<'a> LeaseKeeper<'a> {
         work: impl FnOnce(&mut dyn FnMut(Phase, &Progress), &CancelFlag) -> Result<T, JobError> + Send + 'static,
     ) -> RunEnd<T> {
         let (progress, watched) = watch::channel((Phase::Ingest, Progress::default()));
-        let (points, cancel) = (self.points.clone(), self.cancel.clone());
+        let (points, previews, cancel) = (self.points.clone(), self.previews.clone(), self.cancel.clone());
         let (send, receive) = oneshot::channel();
         let span = Span::current();
         let started = std::thread::Builder::new().name(format!("job-{}", self.lease.job)).spawn(move || {
             let _entered = span.entered();
             let mut report = |phase: Phase, state: &Progress| {
                 points.add(phase, state);
+                previews.add(state);
                 progress.send_replace((phase, state.clone()));
             };
             let result = catch_unwind(AssertUnwindSafe(|| work(&mut report, &cancel)));
@@ -157,6 +160,7 @@ impl<'a> LeaseKeeper<'a> {
                 _ = heartbeat.tick(), if self.stop != StopReason::LeaseLost => self.heartbeat().await,
                 _ = report.tick() => {
                     self.report_progress().await;
+                    self.publish_preview().await;
                     if self.last_progress.elapsed() > config.stall_limit {
                         return RunEnd::Stalled;
                     }
@@ -200,6 +204,13 @@ impl<'a> LeaseKeeper<'a> {
         self.record_points().await;
         if let Err(error) = self.deps.store.report(self.lease, phase, &progress).await {
             self.store_failed("report", &error);
+        }
+    }
+
+    async fn publish_preview(&mut self) {
+        if self.stop == StopReason::None {
+            let (previews, deps, lease) = (self.previews.clone(), self.deps, self.lease);
+            while_renewing(deps, lease, &mut self.last_renewed, previews.publish(deps, lease)).await;
         }
     }
 

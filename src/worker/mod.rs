@@ -18,6 +18,7 @@ mod lease_keeper;
 mod liveness;
 mod outcomes;
 mod preparation;
+mod previews;
 mod publication;
 mod series_buffer;
 mod storage;

@@ -87,7 +87,7 @@ pub(super) async fn publish(blobs: &Blobs, finished: Finished) -> Ending {
     }
 }
 
-/// Kind, weight of the rate term and content of every artifact: the files, and the cameras and held-out views as JSON.
+/// Kind, weight of the rate term and content of every artifact: the files, the cameras and held-out views as JSON, and pictures.
 fn contents(finished: &Finished) -> serde_json::Result<Vec<(ArtifactKind, Option<f64>, Bytes)>> {
     let Finished { output, sparse_model } = finished;
     let file = |(lambda, file)| (ArtifactKind::Scene(output.format), lambda, Bytes::copy_from_slice(file));
@@ -95,6 +95,9 @@ fn contents(finished: &Finished) -> serde_json::Result<Vec<(ArtifactKind, Option
     contents.push((ArtifactKind::Cameras, None, serde_json::to_vec(&output.cameras)?.into()));
     if let Some(held_out) = &output.held_out {
         contents.push((ArtifactKind::HeldOut, None, serde_json::to_vec(held_out)?.into()));
+    }
+    if let Some(thumbnail) = &output.thumbnail {
+        contents.push((ArtifactKind::Thumbnail, None, Bytes::copy_from_slice(thumbnail)));
     }
     if let Some(model) = sparse_model {
         contents.push((ArtifactKind::SparseModel, None, Bytes::copy_from_slice(model)));

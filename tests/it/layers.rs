@@ -76,7 +76,7 @@ const EXTERNAL: &[(&str, &[&str])] = &[
     ("tower", &["http"]),
     ("tower_http", &["http"]),
     ("prometheus_client", &["http"]),
-    ("hmac", &["webhooks"]),
+    ("hmac", &["domain", "webhooks"]),
     ("reqwest", &["https", "viewers", "webhooks", "cli"]),
     ("postcard", &["viewers"]),
     ("rustls", &["store", "https"]),

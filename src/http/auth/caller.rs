@@ -1,5 +1,7 @@
 //! Who sent a request, as handlers get it: what [`crate::http::auth`] made of the request's key.
 
+use std::convert::Infallible;
+
 use axum::{
     extract::FromRequestParts,
     http::request::Parts,
@@ -24,5 +26,17 @@ impl<S: Sync> FromRequestParts<S> for Caller {
 
     async fn from_request_parts(parts: &mut Parts, _: &S) -> Result<Self, Response> {
         caller(parts).map_err(ProblemResponse::into_response)
+    }
+}
+
+/// The caller of an operation that also answers those without a key.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct OptionalCaller(pub(crate) Option<Caller>);
+
+impl<S: Sync> FromRequestParts<S> for OptionalCaller {
+    type Rejection = Infallible;
+
+    async fn from_request_parts(parts: &mut Parts, _: &S) -> Result<Self, Infallible> {
+        Ok(Self(parts.extensions.get().copied()))
     }
 }

@@ -9,14 +9,19 @@
 //!   are refused ([`cross_site`]), unless the operator allows their origin ([`super::origins`]).
 //! - Browsers send a key as the password of HTTP Basic, also with requests caused by other sites' pages. So Basic is accepted only for
 //!   requests that change nothing.
+//! - A session's cookie comes with requests of this service's pages alone (`SameSite=Strict`). One that could change something must also
+//!   say so itself (`Sec-Fetch-Site: same-origin`), which no page can forge.
+//! - A shared link opens reads of one job ([`shared_link`]), without a key and whatever keys there are.
 //! - Handlers that extract a [`Caller`] run only after this middleware.
-//! - No handler sees the key.
+//! - No handler sees the key, and none but those of sessions their hash.
 
 pub(super) mod caller;
 pub(super) mod cross_site;
 mod host;
 pub(super) mod revocation;
 mod scopes;
+mod session_cookie;
+pub(super) mod shared_link;
 
 use axum::{
     extract::{MatchedPath, Request, State},
@@ -26,10 +31,13 @@ use axum::{
 };
 use base64::{Engine as _, engine::general_purpose::STANDARD};
 
+pub(super) use self::session_cookie::{ActiveSession, SESSION_COOKIE};
 use self::{
     cross_site::{FollowedLink, RequestOrigin},
     host::{Hosts, only},
     scopes::Access,
+    session_cookie::take_session,
+    shared_link::{LinkRequest, PathToken},
 };
 use super::{
     client_address::{ClientAddress, TrustedProxies},
@@ -39,7 +47,7 @@ use super::{
     state::AppState,
 };
 use crate::{
-    domain::{ApiKey, Caller, ProblemType, Scope},
+    domain::{ApiKey, Caller, KeyHash, ProblemType, Scope, SessionToken},
     store::KeyRecord,
 };
 
@@ -53,7 +61,7 @@ pub(super) async fn authenticate(
     mut request: Request,
     next: Next,
 ) -> Response {
-    let credentials = take_credentials(request.headers_mut());
+    let mut credentials = take_credentials(request.headers_mut());
     let route = request.extensions().get::<MatchedPath>().map(|path| path.as_str().to_owned());
     let needed = match &route {
         Some(route) => scopes::access(request.method().as_str(), route),
@@ -72,10 +80,30 @@ pub(super) async fn authenticate(
     if let Err(error) = admit_page(&mut request, &open, &credentials, origins) {
         return error.into_response();
     }
+    if let Some(token) = request.extensions_mut().remove::<PathToken>() {
+        return by_link(&state, token, request, route, next).await;
+    }
     if is_open_to_all {
         return next.run(request).await;
     }
     let client = ClientInfo::of(&request, &state.limits.access.trusted_proxies);
+    if let (Ok(false), Credentials::Session(token)) = (&open, &credentials) {
+        credentials = match signed_in(&state, token, &client).await {
+            Ok(credentials) => credentials,
+            Err(error) => return error.into_response(),
+        };
+    }
+    let session = match &credentials {
+        Credentials::SignedIn(hash, _) => Some(*hash),
+        _ => None,
+    };
+    request.extensions_mut().insert(ActiveSession(session));
+    if matches!(needed, Some(Access::Optional(_)))
+        && matches!(open, Ok(false))
+        && matches!(credentials, Credentials::Nothing | Credentials::EndedSession)
+    {
+        return next.run(request).await;
+    }
     let caller = match admit(&state, open, credentials, needed, &client).await {
         Ok(caller) => caller,
         Err(error) => return error.into_response(),
@@ -94,6 +122,27 @@ pub(super) async fn authenticate(
     }
     ProblemResponse::internal(&std::io::Error::other(format!("{place} has no row in http/auth/scopes.rs")))
         .into_response()
+}
+
+/// Passes a request by a shared link to its handler, if the link opens that. Links that open nothing count as keys that are none do.
+async fn by_link(
+    state: &AppState,
+    token: PathToken,
+    mut request: Request,
+    route: Option<String>,
+    next: Next,
+) -> Response {
+    let client = ClientInfo::of(&request, &state.limits.access.trusted_proxies);
+    let (caller, link) = match shared_link::admit(state, token, LinkRequest::of(&request, route)).await {
+        Ok(admitted) => admitted,
+        Err(error) => {
+            let over = state.throttle.failure(client.address).err();
+            return over.map_or(error, |wait| too_many_failures(client.reads, wait)).into_response();
+        }
+    };
+    request.extensions_mut().insert(caller);
+    request.extensions_mut().insert(link);
+    next.run(request).await
 }
 
 /// Refuses foreign host names and forged requests. If it is unknown whether keys are required, they count as not required.
@@ -143,6 +192,8 @@ struct ClientInfo {
     reads: bool,
     /// Whether a browser will show the response as a page.
     wants_page: bool,
+    /// Whether a browser says that a page of this service made the request.
+    is_same_origin: bool,
 }
 
 impl ClientInfo {
@@ -159,6 +210,7 @@ impl ClientInfo {
             address: peer.map(|peer| peer.behind(proxies, headers)),
             reads: is_read(request.method()),
             wants_page,
+            is_same_origin: only(headers, "sec-fetch-site") == Some("same-origin"),
         }
     }
 }
@@ -180,13 +232,35 @@ enum Credentials {
     Bearer(ApiKey),
     /// As browsers send it.
     Basic(ApiKey),
+    /// A cookie, which has not been looked up.
+    Session(SessionToken),
+    /// A session and its key.
+    SignedIn(KeyHash, Box<KeyRecord>),
+    /// A cookie of no session.
+    EndedSession,
 }
 
-/// Removes the `Authorization` header, so that no later code can disclose it.
+/// What a session's cookie stands for.
+///
+/// # Errors
+/// 403 for a request that may change something and does not come from a page of this service.
+async fn signed_in(state: &AppState, token: &SessionToken, client: &ClientInfo) -> ApiResult<Credentials> {
+    let found = state.store().session_key(token.hash()).await?;
+    let Some(record) = found else { return Ok(Credentials::EndedSession) };
+    if !client.reads && !client.is_same_origin {
+        let detail = "a session changes something only for pages of this service, whose browser sends Sec-Fetch-Site: same-origin; \
+                      programs send a key";
+        return Err(ProblemType::CrossSiteRequest.because(detail));
+    }
+    Ok(Credentials::SignedIn(token.hash(), Box::new(record)))
+}
+
+/// Removes the `Authorization` and `Cookie` headers, so that no later code can disclose them.
 fn take_credentials(headers: &mut HeaderMap) -> Credentials {
+    let session = take_session(headers);
     let mut values = headers.get_all(header::AUTHORIZATION).iter();
     let credentials = match (values.next(), values.next()) {
-        (None, _) => Credentials::Nothing,
+        (None, _) => session.map_or(Credentials::Nothing, Credentials::Session),
         (Some(value), None) => parse_credentials(value).unwrap_or(Credentials::Malformed),
         (Some(_), Some(_)) => Credentials::Malformed,
     };
@@ -227,26 +301,43 @@ async fn admit(
         Ok(()) => error,
         Err(wait) => too_many_failures(reads, wait),
     };
-    let key = match credentials {
-        Credentials::Bearer(key) => key,
-        Credentials::Basic(key) if reads => key,
-        Credentials::Basic(_) => return Err(fail(not_by_basic())),
-        // Browsers ask their users for a key only after a 401.
-        Credentials::Nothing if reads && client.wants_page => return Err(no_key(reads)),
-        Credentials::Nothing => return Err(fail(no_key(reads))),
-        Credentials::Malformed => return Err(fail(bad_key(reads))),
+    let record = match credentials {
+        Credentials::SignedIn(_, record) => *record,
+        Credentials::Session(_) | Credentials::EndedSession if !client.wants_page => {
+            return Err(fail(session_ended()));
+        }
+        credentials => key_of(state, credentials, client, &fail).await?,
     };
-    // A valid key passes however many invalid ones came from its address: keys cannot be guessed, and behind a proxy all clients share
-    // an address, so one of them could lock out the rest.
-    let record = state.store().authenticate(key.hash()).await?.ok_or_else(|| fail(bad_key(reads)))?;
     state.throttle.request(&record).map_err(|wait| too_many_requests(&record, wait))?;
     record_use(state, &record);
-    if let Some(Access::Scope(scope)) = needed
+    if let Some(scope) = needed.and_then(Access::scope)
         && !record.allows(scope)
     {
         return Err(out_of_scope(&record, scope));
     }
     Ok(Caller { key: Some(record.id), project: record.project_id, admin: record.is_admin() })
+}
+
+/// The key that a request shows.
+async fn key_of(
+    state: &AppState,
+    credentials: Credentials,
+    client: &ClientInfo,
+    fail: &(dyn Fn(ProblemResponse) -> ProblemResponse + Sync),
+) -> ApiResult<KeyRecord> {
+    let reads = client.reads;
+    let key = match credentials {
+        Credentials::Bearer(key) => key,
+        Credentials::Basic(key) if reads => key,
+        Credentials::Basic(_) => return Err(fail(not_by_basic())),
+        // Browsers ask their users for a key only after a 401.
+        Credentials::Malformed => return Err(fail(bad_key(reads))),
+        _ if reads && client.wants_page => return Err(no_key(reads)),
+        _ => return Err(fail(no_key(reads))),
+    };
+    // A valid key passes however many invalid ones came from its address: keys cannot be guessed, and behind a proxy all clients share
+    // an address, so one of them could lock out the rest.
+    state.store().authenticate(key.hash()).await?.ok_or_else(|| fail(bad_key(reads)))
 }
 
 /// Records the use of a key in the background; a failure is harmless.
@@ -281,10 +372,20 @@ fn bad_key(reads: bool) -> ProblemResponse {
 }
 
 fn not_by_basic() -> ProblemResponse {
+    bearer_needed("HTTP Basic is taken for GET and HEAD only")
+}
+
+/// 401 for what takes the key itself.
+pub(super) fn bearer_needed(why: &str) -> ProblemResponse {
+    let detail = format!("{why}; send the key as 'Authorization: Bearer tcgs_...'");
+    challenge(false, ProblemType::BearerNeeded.because(detail), BEARER)
+}
+
+/// 401 without a challenge by which a browser would ask its user for a password.
+fn session_ended() -> ProblemResponse {
     let detail =
-        "HTTP Basic is taken for GET and HEAD only; send the key as 'Authorization: Bearer tcgs_...'";
-    let error = ProblemType::BearerNeeded.because(detail);
-    challenge(false, error, BEARER)
+        "the session has ended, with its key or by its age; sign in again on the page of this service";
+    challenge(false, ProblemType::NoKey.because(detail), BEARER)
 }
 
 const BEARER: &str = "Bearer realm=\"tcgs\"";

@@ -11,9 +11,21 @@ pub(crate) enum Access {
     Open,
     /// A key with this scope, once there are keys.
     Scope(Scope),
+    /// None; whoever shows a key must have this scope, and is answered by what it may see.
+    Optional(Scope),
 }
 
-use Access::{Open, Scope as Needs};
+impl Access {
+    /// The scope that a key must have.
+    pub(crate) fn scope(self) -> Option<Scope> {
+        match self {
+            Access::Open => None,
+            Access::Scope(scope) | Access::Optional(scope) => Some(scope),
+        }
+    }
+}
+
+use Access::{Open, Optional, Scope as Needs};
 use Scope::{Admin, DatasetsWrite, JobsWrite, Read};
 
 /// Method and route of every operation, as the router has them, in the order of `openapi.yaml`.
@@ -30,6 +42,8 @@ const OPERATIONS: &[(&str, &str, Access)] = &[
     ("GET", "/v1/jobs/{id}/series", Needs(Read)),
     ("GET", "/v1/jobs/{id}/artifact", Needs(Read)),
     ("GET", "/v1/jobs/{id}/artifacts", Needs(Read)),
+    ("GET", "/v1/jobs/{id}/thumbnail", Needs(Read)),
+    ("GET", "/v1/jobs/{id}/preview", Needs(Read)),
     ("GET", "/v1/jobs/{id}/export", Needs(Read)),
     ("GET", "/v1/artifacts/{sha256}", Needs(Read)),
     ("GET", "/v1/jobs/{id}/cameras", Needs(Read)),
@@ -40,6 +54,9 @@ const OPERATIONS: &[(&str, &str, Access)] = &[
     ("POST", "/v1/jobs/{id}/animation", Needs(Read)),
     ("GET", "/v1/jobs/{id}/report", Needs(Read)),
     ("GET", "/v1/jobs/{id}/viewer", Needs(Read)),
+    ("GET", "/v1/jobs/{id}/shares", Needs(Read)),
+    ("POST", "/v1/jobs/{id}/shares", Needs(JobsWrite)),
+    ("DELETE", "/v1/jobs/{id}/shares/{share}", Needs(JobsWrite)),
     ("POST", "/v1/datasets", Needs(DatasetsWrite)),
     ("GET", "/v1/datasets", Needs(Read)),
     ("GET", "/v1/datasets/{id}", Needs(Read)),
@@ -70,6 +87,9 @@ const OPERATIONS: &[(&str, &str, Access)] = &[
     ("GET", "/v1/keys/{id}", Needs(Admin)),
     ("PATCH", "/v1/keys/{id}", Needs(Admin)),
     ("DELETE", "/v1/keys/{id}", Needs(Admin)),
+    ("GET", "/", Optional(Read)),
+    ("POST", "/session", Needs(Read)),
+    ("DELETE", "/session", Needs(Read)),
     ("GET", "/healthz", Open),
     ("GET", "/readyz", Open),
     ("GET", "/metrics", Needs(Admin)),
@@ -77,6 +97,7 @@ const OPERATIONS: &[(&str, &str, Access)] = &[
     ("GET", "/openapi.yaml", Open),
     ("GET", "/viewer/worker.js", Open),
     ("GET", "/viewer/module.wasm", Open),
+    ("GET", "/openapi.json", Open),
 ];
 
 /// The access that an operation requires; `None` if there is no such operation. `HEAD` is `GET` unless it has a row of its own.
@@ -147,11 +168,18 @@ mod tests {
                         );
                     }
                 }
-                Needs(scope) => {
+                Needs(scope) | Optional(scope) => {
                     let name = scope.name();
                     let mut expected = vec![json!({ "key": [name] })];
+                    if access == Optional(scope) {
+                        expected.insert(0, json!({}));
+                    }
                     if matches!(&*method, "GET" | "HEAD") {
                         expected.push(json!({ "password": [name] }));
+                    }
+                    // A session cannot prolong itself.
+                    if (&*method, &*path) != ("POST", "/session") {
+                        expected.push(json!({ "session": [name] }));
                     }
                     assert_eq!(
                         operation["security"],
@@ -174,7 +202,7 @@ mod tests {
     fn only_the_service_itself_is_open() {
         for (method, path, access) in OPERATIONS {
             assert!(
-                *access != Open || !path.starts_with("/v1"),
+                matches!(access, Needs(_)) || !path.starts_with("/v1"),
                 "{method} {path} is under /v1 and must need a key"
             );
         }

@@ -41,6 +41,9 @@ impl File {
         let name = match kind {
             ArtifactKind::Scene(format) => format!("{job}{point}.{}", format.extension()),
             ArtifactKind::SparseModel => format!("{job}.{}.zip", kind.name()),
+            ArtifactKind::Thumbnail | ArtifactKind::Preview | ArtifactKind::PreviewPhotograph => {
+                format!("{job}.{}.jpg", kind.name())
+            }
             _ => format!("{job}.{}.json", kind.name()),
         };
         Self { blob, media_type: media_type(kind), name }
@@ -58,6 +61,7 @@ pub(crate) fn media_type(kind: ArtifactKind) -> &'static str {
     match kind {
         ArtifactKind::Scene(format) => format.media_type(),
         ArtifactKind::SparseModel => "application/zip",
+        ArtifactKind::Thumbnail | ArtifactKind::Preview | ArtifactKind::PreviewPhotograph => "image/jpeg",
         _ => "application/json",
     }
 }

@@ -6,7 +6,7 @@ pub(super) mod exports;
 use axum::{
     Json,
     extract::{Path, State},
-    http::{HeaderMap, Method, header},
+    http::{HeaderMap, HeaderValue, Method, header},
     response::IntoResponse,
 };
 use serde::Serialize;
@@ -16,7 +16,7 @@ use self::download::{File, media_type, serve};
 use super::{
     jobs::OwnedJob,
     problem::{Answer as _, ApiResult, ProblemResponse},
-    request::Parameters,
+    request::{Etag, Parameters, not_modified},
     state::AppState,
 };
 use crate::{
@@ -63,6 +63,59 @@ pub(super) async fn get(
     let SceneArtifact { format, lambda, blob } = file_of(&record, lambda)?;
     let file = File::new(record.job.id, ArtifactKind::Scene(format), lambda, blob);
     serve(&state, &method, &request, file).await
+}
+
+/// `GET` and `HEAD /v1/jobs/{id}/thumbnail`.
+pub(super) async fn thumbnail(
+    State(state): State<AppState>,
+    OwnedJob(record): OwnedJob,
+    parameters: Parameters,
+    method: Method,
+    request: HeaderMap,
+) -> ApiResult {
+    parameters.finish()?;
+    let id = record.job.id;
+    let blob = record.artifact(ArtifactKind::Thumbnail).ok_or_else(|| {
+        if record.scenes().next().is_none() {
+            return ProblemResponse::no_file_yet(id, record.job.state.name());
+        }
+        let detail = format!("job {id} has no thumbnail; an earlier version finished it");
+        ProblemType::ArtifactNotFound.because(detail)
+    })?;
+    serve(&state, &method, &request, File::new(id, ArtifactKind::Thumbnail, None, blob)).await
+}
+
+/// `GET /v1/jobs/{id}/preview`: what there is to see of the job.
+pub(super) async fn preview(
+    State(state): State<AppState>,
+    OwnedJob(record): OwnedJob,
+    mut parameters: Parameters,
+    headers: HeaderMap,
+) -> ApiResult {
+    let kinds: &[ArtifactKind] = match parameters.take("of").as_deref() {
+        None | Some("render") => &[ArtifactKind::Preview, ArtifactKind::Thumbnail],
+        Some("photograph") => &[ArtifactKind::PreviewPhotograph],
+        Some(other) => {
+            let error = format!("'{other}' is not one of render, photograph");
+            return Err(ProblemResponse::parameter("of", error));
+        }
+    };
+    parameters.finish()?;
+    let found = kinds.iter().find_map(|kind| record.artifact(*kind)).ok_or_else(|| {
+        let detail = format!("job {} has no such picture, or none yet", record.job.id);
+        ProblemType::ArtifactNotFound.because(detail)
+    })?;
+    let etag = Etag::new(found.digest);
+    if etag.is_in_if_none_match(&headers) {
+        return Ok(not_modified(&etag));
+    }
+    let content = state.blobs().read(found.digest).await?;
+    let headers = [
+        (header::CONTENT_TYPE, HeaderValue::from_static("image/jpeg")),
+        (header::ETAG, etag.value()),
+        (header::CACHE_CONTROL, HeaderValue::from_static("private, no-cache")),
+    ];
+    Ok((headers, content).into_response())
 }
 
 /// `GET` and `HEAD /v1/artifacts/{sha256}`.

@@ -59,6 +59,8 @@ pub(crate) fn job(record: &JobRecord) -> Value {
         "retry": format!("{this}/retry"),
         "artifact": format!("{this}/artifact"),
         "artifacts": format!("{this}/artifacts"),
+        "thumbnail": format!("{this}/thumbnail"),
+        "preview": format!("{this}/preview"),
         "export": format!("{this}/export"),
         "cameras": format!("{this}/cameras"),
         "view": format!("{this}/view"),

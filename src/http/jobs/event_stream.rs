@@ -18,12 +18,20 @@ use futures_util::{Stream, StreamExt as _, stream};
 use tokio_util::sync::CancellationToken;
 
 use crate::{
-    domain::{Caller, Event, EventKind, JobId, JobState, KeyId},
-    http::{auth::revocation::revoked, meters::GaugeGuard, shared::Slot, state::AppState},
+    domain::{Caller, Event, EventKind, JobId, JobState, KeyId, ProblemType},
+    http::{
+        auth::revocation::revoked,
+        meters::GaugeGuard,
+        problem::{Answer as _, ApiResult},
+        shared::Slot,
+        state::AppState,
+    },
 };
 
 /// Events read at a time.
 const PAGE: u32 = 100;
+/// `Retry-After` where too many streams are open.
+const STREAM_RETRY_SECONDS: u32 = 10;
 /// The pause before a client reconnects.
 const RETRY: Duration = Duration::from_millis(3000);
 /// Tells nginx and similar proxies not to buffer.
@@ -37,20 +45,53 @@ pub(crate) fn answer(
     after: u64,
     slot: Slot<Option<KeyId>>,
 ) -> Response {
+    let counted = state.meters.stream_opened();
+    let follower = Follower {
+        state: state.clone(),
+        job,
+        after,
+        page: VecDeque::new(),
+        ended: false,
+        _slot: slot,
+        _counted: counted,
+    };
+    respond(state, caller.key, events(follower))
+}
+
+/// A place for a stream of this caller.
+///
+/// # Errors
+/// 429 if all are taken, or all that one key may have.
+pub(super) fn slot(state: &AppState, caller: &Caller) -> ApiResult<Slot<Option<KeyId>>> {
+    state.event_streams.take(caller.key).map_err(|taken| {
+        let (count, of) = match taken.by_holder >= state.event_streams.capacity().each {
+            true => (taken.by_holder, "of yours"),
+            false => (taken.by_all, "in all"),
+        };
+        let detail = format!("{count} streams {of} are open, which is the limit; ask for pages instead");
+        ProblemType::TooManyStreams
+            .because(detail)
+            .with_header(header::RETRY_AFTER, STREAM_RETRY_SECONDS.into())
+    })
+}
+
+/// A response with these events, which ends with them or soon after the key is revoked.
+pub(super) fn respond(
+    state: AppState,
+    key: Option<KeyId>,
+    events: impl Stream<Item = Result<sse::Event, Infallible>> + Send + 'static,
+) -> Response {
     let keep_alive = KeepAlive::new().interval(state.limits.keep_alive).text("");
     let first = Ok(sse::Event::default().retry(RETRY));
-    let counted = state.meters.stream_opened();
     let shut_out = CancellationToken::new();
-    let (watched, told) = (revoked(state.clone(), caller.key), shut_out.clone());
+    let (watched, told) = (revoked(state, key), shut_out.clone());
     let until_revoked = async move {
         watched.await;
         told.cancel();
     };
-    let follower =
-        Follower { state, job, after, page: VecDeque::new(), ended: false, _slot: slot, _counted: counted };
     let closing = stream::once(async move { shut_out.is_cancelled().then(|| Ok(closing())) });
     let all = stream::once(async { first })
-        .chain(events(follower).take_until(until_revoked))
+        .chain(events.take_until(until_revoked))
         .chain(closing.filter_map(std::future::ready));
     let headers = [
         (header::CACHE_CONTROL, HeaderValue::from_static("no-store")),

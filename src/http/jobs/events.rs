@@ -20,8 +20,6 @@ use crate::{
 
 const DEFAULT_PAGE: u32 = 100;
 const MAX_PAGE: u32 = 1000;
-/// `Retry-After` where too many streams are open.
-const STREAM_RETRY_SECONDS: u32 = 10;
 const STREAM: &str = "text/event-stream";
 const PAGE: &str = "application/json";
 const LAST_EVENT_ID: HeaderName = HeaderName::from_static("last-event-id");
@@ -52,16 +50,7 @@ pub(crate) async fn list(
         if job.state.is_terminal() && more.is_empty() {
             return Ok((StatusCode::NO_CONTENT, no_store).into_response());
         }
-        let slot = state.event_streams.take(caller.key).map_err(|taken| {
-            let (count, of) = match taken.by_holder >= state.event_streams.capacity().each {
-                true => (taken.by_holder, "of yours"),
-                false => (taken.by_all, "in all"),
-            };
-            let detail = format!("{count} streams {of} are open, which is the limit; ask for pages instead");
-            ProblemType::TooManyStreams
-                .because(detail)
-                .with_header(header::RETRY_AFTER, STREAM_RETRY_SECONDS.into())
-        })?;
+        let slot = event_stream::slot(&state, &caller)?;
         return Ok(event_stream::answer(state, &caller, job.id, after, slot));
     }
     let (after, events) = after_in_history(&state, job.id, after, limit).await?;

@@ -1,14 +1,14 @@
-//! `GET /v1/jobs`: a page of jobs, newest first.
+//! `GET /v1/jobs`: a page of jobs, newest first, or a stream of those that change.
 
-use axum::extract::State;
+use axum::{extract::State, http::HeaderMap};
 
-use super::{body::job, fields::Fields};
+use super::{body::job, event_stream, fields::Fields, list_stream};
 use crate::{
     domain::{Caller, DatasetId, JobState, ProjectId},
     http::{
         jobs::create_request::{labels, one_dataset},
         problem::{ApiResult, ProblemResponse},
-        request::{Page, Parameters, cursor, parse_cursor},
+        request::{Page, Parameters, cursor, parse_cursor, prefers},
         state::AppState,
     },
     store::{JobFilter, JobRecord, PageKey},
@@ -19,6 +19,7 @@ pub(crate) async fn list(
     State(state): State<AppState>,
     caller: Caller,
     mut parameters: Parameters,
+    headers: HeaderMap,
 ) -> ApiResult {
     let page = Page::take(&mut parameters, |text| {
         let (created_at, id) = parse_cursor(text)?;
@@ -43,6 +44,10 @@ pub(crate) async fn list(
     let fields = Fields::take(&mut parameters)?;
     parameters.finish()?;
     let seen = JobFilter { project: own.or(asked), ..filter.clone() };
+    if prefers(&headers, "text/event-stream", "application/json") {
+        let slot = event_stream::slot(&state, &caller)?;
+        return Ok(list_stream::answer(state, &caller, seen, slot));
+    }
     let records = state.store().jobs(&seen, page.after, page.to_read()).await?;
     let after = |last: &JobRecord| cursor(last.job.created_at, last.job.id);
     page.answer("jobs", records, &filtered(&filter, &fields)?, after, |record| fields.of(job(&record)))

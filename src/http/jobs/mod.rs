@@ -9,6 +9,7 @@ pub(super) mod event_stream;
 pub(super) mod events;
 mod fields;
 pub(super) mod list;
+mod list_stream;
 pub(super) mod series;
 
 use axum::{
@@ -65,7 +66,7 @@ impl FromRequestParts<AppState> for JobPath {
 ///
 /// # Errors
 /// 404 if there is none, and if it is another's.
-async fn find(state: &AppState, caller: Caller, id: &str) -> ApiResult<JobRecord> {
+pub(super) async fn find(state: &AppState, caller: Caller, id: &str) -> ApiResult<JobRecord> {
     let Ok(parsed) = id.parse() else { return Err(ProblemResponse::no_job(id)) };
     let record = state.store().job(parsed).await?.filter(|record| caller.may_see(record.project));
     record.ok_or_else(|| ProblemResponse::no_job(id))

@@ -12,7 +12,7 @@ use crate::{
 /// The section of curves.
 pub(super) fn curves(record: &JobRecord, history: &History) -> Markup {
     html! {
-        section {
+        section #curves {
             h2 { "Curves" }
             div.charts {
                 (against_time(record, history))
@@ -29,7 +29,7 @@ fn line(name: &str, points: Vec<(f64, f64)>) -> Series {
 }
 
 fn against_time(record: &JobRecord, history: &History) -> Markup {
-    let mut training = history.points(|point| Some(point.seconds), |point| point.psnr);
+    let mut training = as_measured(history.points(|point| Some(point.seconds), |point| point.psnr));
     let held_out = record.job.metrics.as_ref().and_then(|metrics| metrics.test.psnr);
     let mut held_out: Vec<(f64, f64)> = held_out.map(|psnr| (history.end, psnr)).into_iter().collect();
     let unit = TimeUnit::of(history.end);
@@ -39,14 +39,25 @@ fn against_time(record: &JobRecord, history: &History) -> Markup {
         x: unit.name.to_owned(),
         y: "dB".to_owned(),
         series: vec![
-            line("training views, mean of recent steps", training),
+            line("while training", training),
             line("held-out views, the decoded file", held_out),
         ],
         ..Chart::default()
     }
     .figure(
-        "Time since the work began, measuring included. Training figures are those of the batches just seen.",
+        "Time since the work began, measuring included. Figures while training are of the model as it was then, on up to four held-out views.",
     )
+}
+
+/// The points at which the figure was measured: reports repeat it until the next time.
+fn as_measured(points: Vec<(f64, f64)>) -> Vec<(f64, f64)> {
+    let mut measured: Vec<(f64, f64)> = Vec::with_capacity(points.len());
+    for point in points {
+        if measured.last().is_none_or(|last| last.1 != point.1) {
+            measured.push(point);
+        }
+    }
+    measured
 }
 
 fn ssim(record: &JobRecord, history: &History) -> Markup {
@@ -65,7 +76,7 @@ fn ssim(record: &JobRecord, history: &History) -> Markup {
         ],
         ..Chart::default()
     }
-    .figure("As PSNR against time.")
+    .figure("Time as above. Figures while training are of the batches just seen.")
 }
 
 fn against_size(record: &JobRecord, history: &History) -> Markup {
@@ -85,8 +96,11 @@ fn against_size(record: &JobRecord, history: &History) -> Markup {
         points
     };
     let estimated = |point: &SeriesPoint| point.bytes.map(|bytes| bytes as f64);
-    let mut training =
-        if curve.is_empty() { history.points(estimated, |point| point.psnr) } else { Vec::new() };
+    let mut training = if curve.is_empty() {
+        as_measured(history.points(estimated, |point| point.psnr))
+    } else {
+        Vec::new()
+    };
     let max = training
         .iter()
         .map(|(bytes, _)| *bytes)
@@ -97,7 +111,7 @@ fn against_size(record: &JobRecord, history: &History) -> Markup {
     let finished_points = finished.iter().map(|(bytes, psnr, _)| (bytes / unit, *psnr)).collect();
     let labels = finished.into_iter().map(|(.., label)| label).collect();
     let caption = if curve.is_empty() {
-        "While training: the size that the file would about have and the training views' PSNR. The dot is the finished \
+        "While training: the size that the file would about have, and PSNR as above. The dot is the finished \
          file on the held-out views. A job with rd_curve has a curve of finished files here."
     } else {
         "Each dot is a finished file, trained with its own weight of the rate, on the held-out views."

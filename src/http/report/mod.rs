@@ -1,6 +1,6 @@
 //! `GET /v1/jobs/{id}/report`: everything about a job on one page, or its figures as comma-separated values.
 //!
-//! Invariants: the page requests nothing from other hosts, and from this one only its viewer's pictures; it can be read without
+//! Invariants: the page requests nothing from other hosts, and from this one only pictures, events and itself; it can be read without
 //! scripts and printed; every text is escaped by its template; its content security policy allows only its own script and style,
 //! by their hashes.
 
@@ -13,44 +13,32 @@ mod page;
 mod pictures;
 mod settings;
 mod stages;
-mod units;
-
-use std::sync::LazyLock;
+mod standing;
+pub(super) mod units;
 
 use axum::{
     extract::State,
-    http::{HeaderMap, HeaderName, HeaderValue, header},
+    http::{HeaderMap, HeaderValue, header},
     response::{IntoResponse as _, Response},
 };
-use base64::{Engine as _, engine::general_purpose::STANDARD};
 use serde::de::DeserializeOwned;
 
 use self::{
     history::History,
-    page::{Page, SCRIPT, STYLE},
+    page::{Page, STYLE, script},
 };
 use super::{
+    auth::shared_link::OptionalLink,
+    html,
     jobs::OwnedJob,
     problem::{Answer as _, ApiResult, ProblemResponse},
     request::{Etag, Parameters, accepts, not_modified},
     state::AppState,
 };
 use crate::{
-    domain::{Digest, HeldOut, NamedCamera, ProblemType},
+    domain::{HeldOut, NamedCamera, ProblemType},
     store::{ArtifactKind, JobRecord},
 };
-
-/// Allows the page's own script and style, pictures and the viewer's requests, and nothing else.
-static POLICY: LazyLock<Option<HeaderValue>> = LazyLock::new(|| {
-    let source = |text: &str| format!("'sha256-{}'", STANDARD.encode(Digest::of(text.as_bytes()).as_bytes()));
-    let policy = format!(
-        "default-src 'none'; script-src {}; style-src {}; img-src 'self' data: blob:; connect-src 'self'; \
-         base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
-        source(SCRIPT),
-        source(STYLE)
-    );
-    HeaderValue::try_from(policy).ok()
-});
 
 /// The media types of a report.
 const PAGE: &str = "text/html";
@@ -63,6 +51,7 @@ const FORM: &str = env!("CARGO_PKG_VERSION");
 pub(super) async fn get(
     State(state): State<AppState>,
     OwnedJob(record): OwnedJob,
+    link: OptionalLink,
     mut parameters: Parameters,
     headers: HeaderMap,
 ) -> ApiResult {
@@ -90,20 +79,11 @@ pub(super) async fn get(
     }
     let held_out: Option<HeldOut> = document(&state, &record, ArtifactKind::HeldOut).await?;
     let cameras: Option<Vec<NamedCamera>> = document(&state, &record, ArtifactKind::Cameras).await?;
-    let page = Page { record, history, held_out, cameras: cameras.unwrap_or_default() }.html().into_string();
-    let policy = POLICY.clone().ok_or_else(super::problem::internal)?;
-    let mut response = page.into_response();
-    let answer = response.headers_mut();
-    for (name, value) in [
-        (header::CONTENT_TYPE, HeaderValue::from_static("text/html; charset=utf-8")),
-        (header::CONTENT_SECURITY_POLICY, policy),
-        (header::CACHE_CONTROL, HeaderValue::from_static("private, no-cache")),
-        (header::ETAG, etag.value()),
-        (header::REFERRER_POLICY, HeaderValue::from_static("no-referrer")),
-        (HeaderName::from_static("cross-origin-resource-policy"), HeaderValue::from_static("same-origin")),
-    ] {
-        answer.insert(name, value);
-    }
+    let policy = html::policy(script(&record.job).unwrap_or_default(), STYLE);
+    let cameras = cameras.unwrap_or_default();
+    let page = Page { record, history, held_out, cameras, link }.html();
+    let mut response = html::page(page, policy)?;
+    response.headers_mut().insert(header::ETAG, etag.value());
     Ok(response)
 }
 

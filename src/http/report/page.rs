@@ -10,20 +10,31 @@ use super::{
     pictures::pictures,
     settings::settings,
     stages::stages,
-    units::{bytes, duration, figure, grouped},
+    standing::standing,
+    units::{bytes, duration, figure, grouped, size},
 };
 use crate::{
-    domain::{HeldOut, Job, JobMetrics, NamedCamera},
-    http::jobs::body::href,
+    domain::{HeldOut, Job, JobMetrics, NamedCamera, SceneFormat},
+    http::{auth::shared_link::OptionalLink, jobs::body::href},
     store::JobRecord,
 };
 
-/// The page's only script and only style; the policy that it is served under names their hashes.
-pub(super) const SCRIPT: &str = include_str!("viewer.js");
+/// The page's only style; the policy that it is served under names its hash.
 pub(super) const STYLE: &str = include_str!("style.css");
 
-/// Seconds after which the page of an unfinished job reloads.
-const REFRESH_SECONDS: u32 = 10;
+/// The script of a page, which has one or none; the policy that it is served under names its hash.
+pub(super) fn script(job: &Job) -> Option<&'static str> {
+    if job.metrics.is_some() {
+        Some(VIEWER)
+    } else if job.state.is_terminal() {
+        None
+    } else {
+        Some(LIVE)
+    }
+}
+
+const VIEWER: &str = concat!(include_str!("place.js"), include_str!("viewer.js"), include_str!("share.js"));
+const LIVE: &str = include_str!("live.js");
 
 /// What the page is made from.
 #[derive(Debug)]
@@ -32,6 +43,8 @@ pub(super) struct Page {
     pub(super) history: History,
     pub(super) held_out: Option<HeldOut>,
     pub(super) cameras: Vec<NamedCamera>,
+    /// The shared link that it is shown by.
+    pub(super) link: OptionalLink,
 }
 
 impl Page {
@@ -45,18 +58,31 @@ impl Page {
                     meta name="viewport" content="width=device-width, initial-scale=1";
                     // Or browsers would ask the service for one.
                     link rel="icon" href="data:,";
-                    @if !job.state.is_terminal() { meta http-equiv="refresh" content=(REFRESH_SECONDS); }
-                    title { "tcgs job " (job.id) }
+                    title { @match &self.record.name { Some(name) => { (name) " - tcgs" }, None => { "tcgs job " (job.id) } } }
                     style { (PreEscaped(STYLE)) }
                 }
                 body {
                     header {
-                        h1 { "Report of a " (job.options.model.to_string()) " scene" }
-                        p { span.{"state " (job.state.name())} { (job.state.name()) } " job " code { (job.id) } }
+                        // From the report of a job to the page of all.
+                        @if !self.is_shared() { nav { a href="../../../" { "All scenes" } } }
+                        h1 {
+                            @match &self.record.name {
+                                Some(name) => (name),
+                                None => { "Report of a " (job.options.model.to_string()) " scene" },
+                            }
+                        }
+                        p {
+                            span #state.{"state " (job.state.name())} { (job.state.name()) } " job " code { (job.id) }
+                            @for (key, value) in self.record.metadata.iter() { " " span.label { (key) ": " (value) } }
+                        }
+                        (self.downloads())
+                        @if !self.is_shared() && job.metrics.is_some() {
+                            p { button #share type="button" hidden { "Share this page" } " " span #shared.none role="status" {} }
+                        }
                     }
                     main { (self.sections()) }
                     footer { p { "Made by tcgs " (env!("CARGO_PKG_VERSION")) ". Every figure is of the decoded file unless it says otherwise." } }
-                    @if job.metrics.is_some() { script { (PreEscaped(SCRIPT)) } }
+                    @if let Some(script) = script(job) { script { (PreEscaped(script)) } }
                 }
             }
         }
@@ -75,11 +101,30 @@ impl Page {
                     (pictures(&metrics.test, self.held_out.as_ref()))
                 }
                 None => {
-                    (standing(job))
+                    (standing(&self.record, self.is_shared()))
                     (curves(&self.record, &self.history))
                 }
             }
             (settings(&self.record))
+        }
+    }
+
+    fn is_shared(&self) -> bool {
+        self.link.prefix.is_some()
+    }
+
+    /// Links to the files of a finished job. They are relative, so that a proxy may serve the page below a path.
+    fn downloads(&self) -> Markup {
+        let Some(first) = self.record.scenes().next() else { return html! {} };
+        let file = first.format.extension();
+        html! {
+            p.downloads {
+                a href="artifact" download { "." (file) " (" (size(first.blob.bytes)) ")" }
+                @if first.format != SceneFormat::Ply { a href="export?format=ply" download { ".ply" } }
+                a href="export?format=spz" download { ".spz" }
+                a href="report?format=csv" download { "Figures as CSV" }
+                @if !self.is_shared() { a href=(format!("../{}", self.record.job.id)) { "JSON" } }
+            }
         }
     }
 
@@ -94,7 +139,7 @@ impl Page {
             section.viewer {
                 h2 { "Viewer" }
                 figure #viewer tabindex="0" aria-label="The scene; drag or use the arrow keys to turn it"
-                    data-href=(format!("{}/view", href(self.record.job.id)))
+                    data-href=(format!("{}{}/view", self.link.prefix.as_deref().unwrap_or_default(), href(self.record.job.id)))
                     data-position=(vector(position)) data-center=(vector(center)) data-up=(vector(up))
                     data-fov=(fov) data-aspect=(aspect) {
                     @match poster {
@@ -103,6 +148,7 @@ impl Page {
                     }
                     figcaption role="status" { "Turning the scene takes a browser with scripts; each picture is rendered by the service." }
                 }
+                p { a href="viewer" { "Open the viewer" } ", which draws the scene in this browser, by WebGPU." }
                 p.hint {
                     "Drag to turn, wheel to come closer, Shift and drag to move, 0 to begin again."
                     @if !weights.is_empty() {
@@ -129,38 +175,6 @@ fn summary(metrics: &JobMetrics) -> Markup {
                 @if let Some(network) = test.lpips_network { (card("LPIPS", figure(test.lpips, 4), network.to_string())) }
                 (card("Size", bytes(metrics.bytes.total), format!("{} Gaussians", grouped(metrics.gaussians))))
                 (card("Training", duration(metrics.seconds.train), format!("{} steps", grouped(metrics.steps))))
-            }
-        }
-    }
-}
-
-/// The state of a job without a result.
-fn standing(job: &Job) -> Markup {
-    let progress = &job.progress;
-    html! {
-        section {
-            @match &job.error {
-                Some(problem) => {
-                    h2 { (problem.title) }
-                    p { (problem.detail) @if let Some(file) = &problem.file { " File: " code { (file) } "." } }
-                    p { code { (problem.kind) } }
-                }
-                None if job.state.is_terminal() => h2 { "The job was cancelled" },
-                None => {
-                    h2 { "In progress" }
-                    @match &progress.poses {
-                        Some(poses) => p {
-                            progress max=(poses.total.max(1)) value=(poses.done) {}
-                            " cameras are found: " (poses.stage.name()) " " (grouped(poses.done)) " of " (grouped(poses.total))
-                        },
-                        None => p {
-                            progress max=(progress.total.max(1)) value=(progress.step) {}
-                            " " (grouped(progress.step)) " of " (grouped(progress.total)) " steps"
-                            @if let Some(eta) = progress.eta_seconds { ", about " (duration(eta)) " of training left" }
-                        },
-                    }
-                    p.none { "This page loads itself again every " (REFRESH_SECONDS) " seconds." }
-                }
             }
         }
     }

@@ -1,7 +1,7 @@
-//! StoreStats as people read them.
+//! Figures as people read them.
 
 /// Bytes as a count and as a rounded size, as in `152 340 (152 kB)`; below a kilobyte only the count.
-pub(super) fn bytes(count: u64) -> String {
+pub(crate) fn bytes(count: u64) -> String {
     match count {
         0..1000 => format!("{count} B"),
         _ => format!("{} B ({})", grouped(count), size(count)),
@@ -9,7 +9,7 @@ pub(super) fn bytes(count: u64) -> String {
 }
 
 /// Bytes in three digits; MB is 10^6.
-pub(super) fn size(count: u64) -> String {
+pub(crate) fn size(count: u64) -> String {
     let value = count as f64;
     match count {
         0..1000 => format!("{count} B"),
@@ -20,7 +20,7 @@ pub(super) fn size(count: u64) -> String {
 }
 
 /// A count with thin gaps between thousands.
-pub(super) fn grouped(count: u64) -> String {
+pub(crate) fn grouped(count: u64) -> String {
     let digits = count.to_string();
     let mut text = String::with_capacity(digits.len() * 2);
     for (place, digit) in digits.chars().enumerate() {
@@ -33,7 +33,7 @@ pub(super) fn grouped(count: u64) -> String {
 }
 
 /// A time span in the two units that suit it.
-pub(super) fn duration(seconds: f64) -> String {
+pub(crate) fn duration(seconds: f64) -> String {
     let whole = seconds.max(0.0).round() as u64;
     match whole {
         0..10 => format!("{seconds:.1} s"),
@@ -44,7 +44,7 @@ pub(super) fn duration(seconds: f64) -> String {
 }
 
 /// A figure with `decimals` decimals, or a dash where there is none.
-pub(super) fn figure(value: Option<f64>, decimals: usize) -> String {
+pub(crate) fn figure(value: Option<f64>, decimals: usize) -> String {
     value.map_or_else(|| "\u{2013}".to_owned(), |value| format!("{value:.decimals$}"))
 }
 

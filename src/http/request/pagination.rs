@@ -65,7 +65,7 @@ impl<C> Page<C> {
     }
 
     /// Truncates what was read to the page and returns the path of the next one.
-    fn cut<T, W: Display>(
+    pub(crate) fn cut<T, W: Display>(
         &self,
         entries: &mut Vec<T>,
         list: &str,

@@ -145,7 +145,7 @@ fn scopes_text(scopes: &[Scope]) -> String {
     scopes.iter().map(|scope| scope.name()).collect::<Vec<_>>().join(" ")
 }
 
-fn key(row: &Row) -> Result<KeyRecord, StoreError> {
+pub(super) fn key(row: &Row) -> Result<KeyRecord, StoreError> {
     let scopes: String = row.try_get("scopes")?;
     let scopes = scopes.split_whitespace().map(str::parse).collect::<Result<Vec<Scope>, String>>();
     Ok(KeyRecord {

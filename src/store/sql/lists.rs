@@ -13,8 +13,44 @@ use jiff::Timestamp;
 
 /// Rows of `jobs` with their dataset's `bytes`, newest first.
 pub(super) fn jobs(filter: &JobFilter, before: Option<PageKey>, limit: u32) -> Query {
-    let mut list =
+    let list =
         query("SELECT jobs.*, blobs.bytes FROM jobs JOIN blobs ON blobs.digest = jobs.dataset WHERE true");
+    matching_jobs(list, filter, before, limit)
+}
+
+/// Identity, version and state of jobs, newest first.
+pub(super) fn job_versions(filter: &JobFilter, limit: u32) -> Query {
+    let list = query("SELECT jobs.id, jobs.version, jobs.state FROM jobs WHERE true");
+    matching_jobs(list, filter, None, limit)
+}
+
+/// The same of the queued and of the running jobs that the filter lets through, whatever states it names. Each state is part of the
+/// statement, since the indexes of queued and of running jobs serve only statements that name it. Without a project SQLite has to be told,
+/// or it would go through the whole history by age.
+pub(super) fn active_job_versions(filter: &JobFilter, limit: u32) -> [Query; 2] {
+    const QUEUED: &str = "SELECT jobs.id, jobs.version, jobs.state FROM jobs WHERE state = 'queued'";
+    const RUNNING: &str = "SELECT jobs.id, jobs.version, jobs.state FROM jobs WHERE state = 'running'";
+    let statements: [Sql; 2] = match filter.project {
+        Some(_) => [QUEUED.into(), RUNNING.into()],
+        None => [
+            Sql {
+                sqlite: "SELECT jobs.id, jobs.version, jobs.state FROM jobs INDEXED BY jobs_queued_by_age
+                     WHERE state = 'queued'",
+                postgres: QUEUED,
+            },
+            Sql {
+                sqlite: "SELECT jobs.id, jobs.version, jobs.state FROM jobs INDEXED BY jobs_by_lease
+                     WHERE state = 'running'",
+                postgres: RUNNING,
+            },
+        ],
+    };
+    let of_any_state = JobFilter { states: Vec::new(), ..filter.clone() };
+    statements.map(|statement| matching_jobs(query(statement), &of_any_state, None, limit))
+}
+
+/// Continues a statement that ends within the condition on `jobs`.
+fn matching_jobs(mut list: Query, filter: &JobFilter, before: Option<PageKey>, limit: u32) -> Query {
     if let Some(before) = before {
         list.push(" AND (jobs.created_at, jobs.id) < (").push_bind(micros(before.created_at));
         list.push(", ").push_bind(before.id.to_string()).push(")");
@@ -163,6 +199,9 @@ mod tests {
             (jobs(&named, job, 20), "jobs_by_project_name"),
             (jobs(&JobFilter { project: None, ..named.clone() }, job, 20), "jobs_by_name"),
             (jobs(&of_time, job, 20), "jobs_by_project "),
+            (job_versions(&all, 20), "jobs_by_age"),
+            (job_versions(&of_project, 20), "jobs_by_project "),
+            (job_versions(&queued, 20), "jobs_by_project_state"),
             (keys(project, false, None, 20), "keys_by_project"),
             (keys(project, true, Some(KeyId(Uuid::from_u128(1))), 20), "keys_by_project"),
             (usage(project, None, 20, at), "project_totals USING PRIMARY KEY"),
@@ -181,6 +220,20 @@ mod tests {
             // A project has few endpoints.
             let sorts = plan.iter().any(|step| step.contains("TEMP B-TREE"));
             assert!(!sorts || index.starts_with("webhook"), "{}: {plan:?}", statement);
+        }
+    }
+
+    #[tokio::test]
+    async fn active_jobs_are_found_without_the_history() {
+        let (_folder, store) = temporary_store().await;
+        let project = Some(ProjectId(Uuid::from_u128(1)));
+        for filter in [JobFilter::default(), JobFilter { project, ..JobFilter::default() }] {
+            for (query, state) in active_job_versions(&filter, 20).into_iter().zip(["queued", "running"]) {
+                let (statement, _) = query.texts();
+                let plan = plan(&store, &statement).await;
+                let narrow = ["jobs_queued_by_age", "jobs_by_lease", "jobs_running", "jobs_by_project_state"];
+                assert!(narrow.iter().any(|index| plan[0].contains(index)), "{state}: {plan:?}");
+            }
         }
     }
 

@@ -40,6 +40,9 @@ pub static SQLITE: LazyLock<Migrator> = migrations! {
         "0019_viewers",
         "0020_poses",
         "0021_kept_datasets",
+        "0022_thumbnails",
+        "0023_sessions",
+        "0024_shares",
 };
 
 /// Migrations of PostgreSQL databases.
@@ -50,6 +53,9 @@ pub static POSTGRES: LazyLock<Migrator> = migrations! {
         "0003_viewers",
         "0004_poses",
         "0005_kept_datasets",
+        "0006_thumbnails",
+        "0007_sessions",
+        "0008_shares",
 };
 
 /// A migrator that records each file under its version and description.

@@ -20,6 +20,7 @@ mod faults;
 mod finished_runs;
 mod idempotency;
 mod job_changes;
+mod job_versions;
 mod keys;
 mod leases;
 mod lists;
@@ -33,6 +34,8 @@ mod queue;
 mod retention;
 mod rows;
 mod series;
+mod sessions;
+mod shares;
 mod stats;
 mod upkeep;
 mod uploads;
@@ -442,6 +445,15 @@ impl Store {
     pub fn use_posed_dataset<'a>(&'a self, lease: &'a Lease, dataset: BlobRef) -> StoreFuture<'a, ()> {
         self.call("use_posed_dataset")
             .run(self.write(async move |tx, now| queue::use_posed_dataset(tx, lease, dataset, now).await))
+    }
+
+    /// Makes these the job's preview and the photograph beside it, instead of those before.
+    ///
+    /// # Errors
+    /// [`StoreError::LeaseLost`].
+    pub fn set_preview<'a>(&'a self, lease: &'a Lease, pictures: [BlobRef; 2]) -> StoreFuture<'a, ()> {
+        self.call("set_preview")
+            .run(self.write(async move |tx, now| queue::set_preview(tx, lease, pictures, now).await))
     }
 
     /// Renews a lease, and returns whether the job is to stop.

@@ -12,8 +12,8 @@ use crate::{
         Digest, EventKind, JobId, JobMetrics, JobState, Phase, Preparation, Problem, Progress, ProjectId,
     },
     store::{
-        AttemptRecord, BlobRef, Cancellation, Claim, Heartbeat, Lease, MAX_QUEUE_POSITION, Outcome,
-        QueuePolicy, SHOWN_ATTEMPTS, StoreError, WorkerDeath,
+        ArtifactKind, AttemptRecord, BlobRef, Cancellation, Claim, Heartbeat, Lease, MAX_QUEUE_POSITION,
+        Outcome, QueuePolicy, SHOWN_ATTEMPTS, StoreError, WorkerDeath,
         leases::LeaseRow,
         retry::{AttemptEnd, AttemptState, NextState, decide},
     },
@@ -397,6 +397,36 @@ pub(super) async fn use_posed_dataset(
     Ok(())
 }
 
+/// Replaces the pictures of a job in training.
+pub(super) async fn set_preview(
+    connection: &mut Transaction,
+    lease: &Lease,
+    [preview, photograph]: [BlobRef; 2],
+    now: Timestamp,
+) -> Result<(), StoreError> {
+    locks::job(connection, lease.job).await?;
+    leased_job(connection, lease).await?;
+    remove_preview(connection, lease.job).await?;
+    for (kind, blob) in [(ArtifactKind::Preview, preview), (ArtifactKind::PreviewPhotograph, photograph)] {
+        insert_blob(connection, blob, now).await?;
+        query("INSERT INTO artifacts (job_id, kind, place, digest, attempt) VALUES (?, ?, 0, ?, ?)")
+            .bind_all(values![lease.job.to_string(), kind.name(), blob.digest.to_string(), lease.attempt])
+            .execute(&mut *connection)
+            .await?;
+    }
+    query("UPDATE jobs SET version = version + 1 WHERE id = ?")
+        .bind(lease.job.to_string())
+        .run(connection)
+        .await
+}
+
+async fn remove_preview(connection: &mut Transaction, job: JobId) -> Result<(), StoreError> {
+    query("DELETE FROM artifacts WHERE job_id = ? AND kind IN ('preview', 'preview_photograph')")
+        .bind(job.to_string())
+        .run(connection)
+        .await
+}
+
 /// The dataset with the cameras of photographs that a job of the project found before.
 pub(super) async fn posed_dataset(
     connection: &mut Transaction,
@@ -487,6 +517,7 @@ async fn end_attempt(
             return Ok(JobState::Queued);
         }
         NextState::Succeed { metrics, artifacts } => {
+            remove_preview(connection, job).await?;
             for (number, artifact) in artifacts.iter().enumerate() {
                 insert_blob(connection, artifact.blob, now).await?;
                 let before = artifacts[..number].iter();

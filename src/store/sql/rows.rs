@@ -10,7 +10,7 @@ use crate::{
     },
     store::{
         Artifact, ArtifactKind, AttemptRecord, BlobRef, DeliveryRecord, DueDelivery, EndpointRecord,
-        ExportRecord, FileRecord, JobRecord, PriorRequest, StoreError,
+        ExportRecord, FileRecord, JobRecord, JobVersion, PriorRequest, StoreError,
         leases::LeaseRow,
         retry::{AttemptState, LossStreak},
     },
@@ -139,6 +139,11 @@ pub(super) fn job_and_project(row: &Row) -> Result<(JobId, ProjectId), StoreErro
 
 pub(super) fn newest_event(row: &Row) -> Result<(JobId, u64), StoreError> {
     Ok((job_id(row)?, integer(row, "last_seq")?))
+}
+
+pub(super) fn job_version(row: &Row) -> Result<(JobId, JobVersion), StoreError> {
+    let state = parsed("state", row.try_get("state")?)?;
+    Ok((job_id(row)?, JobVersion { version: integer(row, "version")?, state }))
 }
 
 /// The job whose checkpoint a claimed one may resume from.

@@ -22,7 +22,7 @@ use crate::support::{
 pub(super) const UNKNOWN: &str = "tcgs_000102030405060708090a0b0c0d0e0f10111213b57d5e69";
 
 /// A service whose time stands still, so that no bucket fills while a test takes its time.
-fn stopped_clock() -> (Setup, Arc<ManualClock>) {
+pub(super) fn stopped_clock() -> (Setup, Arc<ManualClock>) {
     let clock = Arc::new(ManualClock::new("2026-11-21T12:00:00Z".parse().expect("an instant")));
     let access = AccessRules { failures_per_minute: NonZeroU32::MAX, ..AccessRules::default() };
     let limits = RequestLimits { access, ..RequestLimits::default() };

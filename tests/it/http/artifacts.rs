@@ -3,7 +3,12 @@
 use serde_json::{Value, json};
 use tcgs::domain::Digest;
 
-use crate::support::{contract::Coverage, fakes, server::Server};
+use crate::support::{
+    contract::Coverage,
+    eventually::eventually,
+    fakes,
+    server::{Answer, Server, picture},
+};
 
 pub(super) async fn every_file_of_a_curve_is_served_by_its_weight(coverage: Coverage) {
     let server = Server::start(&coverage).await;
@@ -49,6 +54,69 @@ pub(super) async fn every_file_of_a_curve_is_served_by_its_weight(coverage: Cove
     let detail = server.get(&format!("{single}/artifact?lambda=0.1")).await;
     assert!(detail.expect_problem(404, "no-such-lambda").contains("leave out lambda"));
     assert_eq!(server.get(&single).await.json()["artifacts"][0]["lambda"], json!(null));
+}
+
+pub(super) async fn a_finished_job_has_a_thumbnail(coverage: Coverage) {
+    let server = Server::start(&coverage).await;
+    let job = server.succeeded().await;
+    let path = server.get(&job).await.json()["links"]["thumbnail"].as_str().expect("a path").to_owned();
+    let whole = server.get(&path).await.expect(200);
+    assert_eq!((whole.header("content-type"), &whole.body[..]), ("image/jpeg", fakes::THUMBNAIL));
+    let name = format!("{}.thumbnail.jpg\"", job.rsplit('/').next().expect("an id"));
+    assert!(whole.header("content-disposition").ends_with(&name), "{:?}", whole.headers);
+    let with = async |name: &'static str, value: &str| {
+        server.send("GET", &path, |request| request.header(name, value)).await
+    };
+    with("if-none-match", whole.header("etag")).await.expect(304);
+    assert_eq!(&with("range", "bytes=0-1").await.expect(206).body[..], b"\xff\xd8");
+    with("range", "bytes=999-").await.expect_problem(416, "range-not-satisfiable");
+    with("if-match", "\"another\"").await.expect_problem(412, "precondition-failed");
+    server.get(&format!("{path}?width=3")).await.expect_problem(422, "invalid-parameter");
+    let waiting = server.create("wait").await;
+    server.get(&format!("{waiting}/thumbnail")).await.expect_problem(409, "no-artifact");
+    server.post(&format!("{waiting}/cancel")).await;
+    let listed = server.get(&format!("{job}/artifacts")).await.expect(200).json();
+    let kinds: Vec<&Value> =
+        listed["artifacts"].as_array().expect("files").iter().map(|file| &file["kind"]).collect();
+    assert!(kinds.contains(&&json!("thumbnail")), "{kinds:?}");
+}
+
+pub(super) async fn a_job_in_training_has_a_preview(coverage: Coverage) {
+    let server = Server::start(&coverage).await;
+    let job = server.create("wait").await;
+    let path = server.get(&job).await.json()["links"]["preview"].as_str().expect("a path").to_owned();
+    let mut preview = None;
+    eventually("there is a picture", async || {
+        let answer = server.get(&path).await;
+        preview = (answer.status == 200).then(|| answer.clone());
+        assert!(matches!(answer.status, 200 | 404), "{answer:?}");
+        preview.is_some()
+    })
+    .await;
+    let preview = preview.expect("a picture");
+    let size = |answer: &Answer| {
+        let picture = picture(&answer.body);
+        (picture.width(), picture.height())
+    };
+    assert_eq!((preview.header("content-type"), size(&preview)), ("image/jpeg", (4, 3)));
+    let photograph = server.get(&format!("{path}?of=photograph")).await.expect(200);
+    assert_eq!(size(&photograph), (8, 6));
+    let first = preview.header("etag").to_owned();
+    // Each picture replaces the one before, and the photograph stays.
+    eventually("there is another", async || server.get(&path).await.expect(200).header("etag") != first)
+        .await;
+    let tag = photograph.header("etag").to_owned();
+    let same = format!("{path}?of=photograph");
+    server.send("GET", &same, |request| request.header("if-none-match", tag)).await.expect(304);
+    let listed = server.get(&format!("{job}/artifacts")).await.expect(200).json();
+    assert_eq!(listed["artifacts"].as_array().map(Vec::len), Some(2), "{listed:#}");
+    server.get(&format!("{path}?of=depth")).await.expect_problem(422, "invalid-parameter");
+    server.post(&format!("{job}/cancel")).await;
+
+    // A finished job has its thumbnail there, and its last picture is gone.
+    let done = server.succeeded().await;
+    assert_eq!(&server.get(&format!("{done}/preview")).await.expect(200).body[..], fakes::THUMBNAIL);
+    server.get(&format!("{done}/preview?of=photograph")).await.expect_problem(404, "artifact-not-found");
 }
 
 pub(super) async fn the_file_is_served_whole_in_parts_and_conditionally(coverage: Coverage) {

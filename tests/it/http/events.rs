@@ -133,6 +133,61 @@ pub(super) async fn there_are_only_so_many_streams(coverage: Coverage) {
     assert!(refused.expect_problem(429, "too-many-streams").starts_with("1 streams in all are open"));
 }
 
+pub(super) async fn a_list_tells_of_each_job_that_changes(coverage: Coverage) {
+    let limits = RequestLimits { key_recheck_interval: Duration::from_millis(5), ..Setup::default().limits };
+    let server = Server::start_with(&coverage, no_worker(limits)).await;
+    let scopes = [Scope::JobsWrite, Scope::Read];
+    let [mine, other] = [server.key(&scopes).await, server.key(&scopes).await];
+    let create = async |key: &TestKey| {
+        let created = server.send("POST", "/v1/jobs", |request| {
+            request.bearer_auth(&key.key).header("content-type", "application/zip").body("succeed")
+        });
+        created.await.expect(201).header("location").to_owned()
+    };
+    let follow = async |path: &str| {
+        let open = server.open("GET", path, |request| {
+            request.bearer_auth(&mine.key).header("accept", "text/event-stream")
+        });
+        Reader::new(open.await)
+    };
+    let next = async |stream: &mut Reader| {
+        let frame = stream.next().await.expect("an event");
+        let job = frame.json();
+        let state = job["state"].as_str().unwrap_or_default().to_owned();
+        (frame.event, format!("/v1/jobs/{}", job["id"].as_str().expect("an id")), state)
+    };
+    let job = |path: &str, state: &str| ("job".to_owned(), path.to_owned(), state.to_owned());
+
+    let first = create(&mine).await;
+    let foreign = create(&other).await;
+    let mut all = follow("/v1/jobs").await;
+    assert_eq!(next(&mut all).await, job(&first, "queued"));
+    let second = create(&mine).await;
+    assert_eq!(next(&mut all).await, job(&second, "queued"), "what is another's is not told");
+    with_key(&server, "POST", &format!("{first}/cancel"), &mine.key).await.expect(200);
+    assert_eq!(next(&mut all).await, job(&first, "cancelled"));
+    with_key(&server, "DELETE", &first, &mine.key).await.expect(204);
+    assert_eq!(next(&mut all).await, ("gone".to_owned(), first, String::new()));
+
+    let mut running = follow("/v1/jobs?state=running").await;
+    with_key(&server, "POST", &format!("{foreign}/cancel"), &other.key).await.expect(200);
+    let lease = server.store.claim("test").await.expect("a claim").expect("a job").lease;
+    assert_eq!(next(&mut running).await, job(&second, "running"));
+    let failed = Outcome::Failed(Problem::new(ProblemType::DeviceLost, "as the test wants it"));
+    server.store.finish(&lease, failed).await.expect("ended");
+    assert_eq!(next(&mut running).await, job(&second, "failed"), "as it leaves the list");
+
+    let whole = server.send("GET", "/v1/jobs", |request| {
+        request.bearer_auth(&mine.key).header("accept", "text/event-stream")
+    });
+    let (whole, ()) = tokio::join!(whole, async {
+        tokio::time::sleep(Duration::from_millis(50)).await;
+        server.revoke(&mine).await;
+    });
+    let last = frames(&whole.expect(200).body).pop().expect("a word");
+    assert_eq!((&*last.event, last.json()), ("closed", json!({ "reason": "key-revoked" })));
+}
+
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn every_kind_of_event_has_its_name_in_a_stream() {
     let server = Server::start(&Coverage::default()).await;

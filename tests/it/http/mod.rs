@@ -10,6 +10,7 @@ mod events;
 mod exports;
 mod figures;
 mod forms;
+mod front;
 mod idempotency;
 mod job_actions;
 mod jobs;
@@ -22,6 +23,8 @@ mod secrets;
 mod sequences;
 mod series;
 mod service;
+mod sessions;
+mod shares;
 mod uploads;
 mod viewer_page;
 mod views;
@@ -69,6 +72,19 @@ scenarios! {
         what_is_anothers_is_not_there,
         a_database_that_fails_lets_nobody_in,
     }
+    front {
+        a_browser_gets_a_page_of_its_jobs,
+        the_page_shows_nothing_without_a_key,
+    }
+    sessions {
+        a_browser_signs_in_by_its_key_and_changes_things_from_its_own_pages_only,
+        a_session_ends_with_its_key_its_age_or_by_signing_out,
+    }
+    shares {
+        a_link_opens_a_jobs_page_and_what_it_shows_and_nothing_else,
+        a_link_may_open_one_thing_alone,
+        every_replica_knows_the_links_of_the_others,
+    }
     projects {
         a_leaked_key_is_replaced_and_nothing_is_lost,
         projects_are_made_changed_and_listed_by_administrators,
@@ -101,6 +117,7 @@ scenarios! {
     }
     events {
         a_stream_tells_everything_once_and_ends_with_the_job,
+        a_list_tells_of_each_job_that_changes,
         there_are_only_so_many_streams,
     }
     series {
@@ -169,6 +186,8 @@ scenarios! {
     }
     artifacts {
         the_file_is_served_whole_in_parts_and_conditionally,
+        a_finished_job_has_a_thumbnail,
+        a_job_in_training_has_a_preview,
         a_damaged_file_is_not_sent_as_the_whole_one,
         every_file_of_a_curve_is_served_by_its_weight,
     }
@@ -176,6 +195,7 @@ scenarios! {
         a_finished_job_is_reported_on_one_page,
         a_curve_is_reported_with_each_of_its_files,
         a_job_without_a_result_is_reported_as_it_stands,
+        a_report_has_the_names_and_files_of_its_job,
     }
     viewer_page {
         the_page_of_a_job_has_its_cameras_and_its_own_policy,

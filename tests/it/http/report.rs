@@ -11,6 +11,7 @@ use tcgs::{
 
 use crate::support::{
     contract::Coverage,
+    eventually::eventually,
     fakes,
     server::{Server, Setup},
 };
@@ -20,15 +21,15 @@ const VOID: [&str; 4] = ["meta", "img", "input", "link"];
 
 /// One start tag.
 #[derive(Debug)]
-struct Element {
-    name: String,
-    attributes: BTreeMap<String, String>,
+pub(super) struct Element {
+    pub(super) name: String,
+    pub(super) attributes: BTreeMap<String, String>,
     /// The text right after it.
-    text: String,
+    pub(super) text: String,
 }
 
 /// The elements of a page, which must be without syntax errors and with every element closed in order.
-fn parse(page: &str) -> Vec<Element> {
+pub(super) fn parse(page: &str) -> Vec<Element> {
     let (mut elements, mut open): (Vec<Element>, Vec<String>) = (Vec::new(), Vec::new());
     let text = |bytes: &[u8]| String::from_utf8(bytes.to_vec()).expect("UTF-8");
     // The tokenizer has to be told where text is not markup.
@@ -89,7 +90,10 @@ fn assert_self_contained(page: &str, policy: &str) -> Vec<Element> {
             );
             if matches!(&**name, "src" | "href" | "srcset" | "poster" | "action") {
                 let no_icon = element.name == "link" && value == "data:,";
-                assert!(no_icon || value.starts_with("data:image/jpeg;base64,"), "{element:?}");
+                // Links are followed by people; pictures of a job in training are the service's. Both are relative.
+                let is_relative = !value.starts_with('/') && !value.contains(':') && !value.contains("//");
+                let is_link = is_relative && matches!(&*element.name, "a" | "img");
+                assert!(no_icon || is_link || value.starts_with("data:image/jpeg;base64,"), "{element:?}");
             }
         }
     }
@@ -284,6 +288,33 @@ pub(super) async fn a_curve_is_reported_with_each_of_its_files(coverage: Coverag
     assert_eq!(dots, 2, "each file has its dot");
 }
 
+pub(super) async fn a_report_has_the_names_and_files_of_its_job(coverage: Coverage) {
+    let server = Server::start(&coverage).await;
+    let job = server.upload("?name=kermit&metadata[site]=north", "succeed").await.expect(201);
+    let job = job.header("location").to_owned();
+    server.reaches(&job, "succeeded").await;
+    let answer = server.get(&format!("{job}/report")).await.expect(200);
+    let page = String::from_utf8(answer.body.to_vec()).expect("UTF-8");
+    let elements = assert_self_contained(&page, answer.header("content-security-policy"));
+    assert!(page.contains("<title>kermit - tcgs</title>") && page.contains("site: north"));
+    let links = elements.iter().filter(|element| element.name == "a").map(|link| &*link.attributes["href"]);
+    let origin = format!("http://{}{job}/report", server.address);
+    let base = reqwest::Url::parse(&origin).expect("an address");
+    let links: Vec<String> = links.map(|link| base.join(link).expect("an address").to_string()).collect();
+    let expected = ["/", "/artifact", "/export?format=ply", "/export?format=spz", "/report?format=csv", ""]
+        .iter()
+        .enumerate()
+        .map(|(place, rest)| match place {
+            0 => format!("http://{}/", server.address),
+            _ => format!("http://{}{job}{rest}", server.address),
+        });
+    assert_eq!(links, expected.collect::<Vec<_>>());
+    for link in &links[1..] {
+        let path = link.strip_prefix(&format!("http://{}", server.address)).expect("of this service");
+        server.get(path).await.expect(200);
+    }
+}
+
 pub(super) async fn a_job_without_a_result_is_reported_as_it_stands(coverage: Coverage) {
     let server = Server::start(&coverage).await;
     let running = server.create("wait").await;
@@ -295,18 +326,29 @@ pub(super) async fn a_job_without_a_result_is_reported_as_it_stands(coverage: Co
         let elements = assert_self_contained(&page, answer.header("content-security-policy"));
         (page, elements)
     };
-    let refreshes = |elements: &[Element]| {
-        elements
-            .iter()
-            .any(|element| element.attributes.get("http-equiv").is_some_and(|what| what == "refresh"))
+    let has = |elements: &[Element], id: &str| {
+        elements.iter().any(|element| element.attributes.get("id").is_some_and(|found| found == id))
     };
     let (page, elements) = read(&running).await;
-    assert!(page.contains("In progress") && refreshes(&elements));
-    assert!(!elements.iter().any(|element| element.name == "script"), "there is nothing to view yet");
+    assert!(page.contains("In progress") && has(&elements, "live") && has(&elements, "cancel"));
+    assert!(!page.contains("http-equiv"), "it is its script that follows the job");
+    let follows = elements.iter().filter(|element| element.name == "script");
+    assert_eq!(follows.map(|script| script.text.contains("new EventSource")).collect::<Vec<_>>(), [true]);
+    eventually("there is a picture", async || server.get(&format!("{running}/preview")).await.status == 200)
+        .await;
+    let (page, _) = read(&running).await;
+    assert!(page.contains("src=\"preview\"") && page.contains("src=\"preview?of=photograph\""), "{page}");
     server.post(&format!("{running}/cancel")).await;
     server.reaches(&running, "cancelled").await;
     let (page, elements) = read(&running).await;
-    assert!(page.contains("was cancelled") && !refreshes(&elements));
+    assert!(page.contains("was cancelled") && !has(&elements, "live"));
+    assert!(
+        !elements.iter().any(|element| element.name == "script"),
+        "there is nothing to follow or to turn"
+    );
+    let id = running.rsplit('/').next().expect("an id");
+    assert!(page.contains("It came to step") && page.contains(&format!("tcgs retry {id}")), "{page}");
+    assert!(page.contains("src=\"preview\""), "as it looked then");
     server.reaches(&failed, "failed").await;
     let (page, _) = read(&failed).await;
     assert!(

@@ -19,6 +19,9 @@ pub(super) async fn the_service_describes_itself(coverage: Coverage) {
     let contract = server.get("/openapi.yaml").await.expect(200).body;
     let file = std::fs::read(concat!(env!("CARGO_MANIFEST_DIR"), "/openapi.yaml")).expect("readable");
     assert_eq!(contract, file);
+    let as_json = server.get("/openapi.json").await.expect(200).json();
+    let as_yaml: serde_json::Value = yaml_serde::from_slice(&file).expect("YAML");
+    assert_eq!(as_json, as_yaml);
 }
 
 pub(super) async fn unknown_jobs_frames_paths_and_methods_are_problems(coverage: Coverage) {

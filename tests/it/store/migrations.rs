@@ -27,6 +27,9 @@ const POSTGRES_CHECKSUMS: &[(i64, &str)] = &[
     (3, "d847f5a8ada30246995cb4184c7205b4477ab0eb03380d0a3b9fc0b79f7c64daf7ceacb941c14b8442cf2a1a684afbbd"),
     (4, "97928cced02298763bc38780a333aaf889b4b7eadae8b2bb69b8759a504bc5efc7c3ef5cdcec71bf191c07e559e5fadd"),
     (5, "3a800540b6c6ccad1900a5637bc2e8d58bdb72d90dc4b2cf6112e2391c1f44cb239ed65085ec6919e66eff1d79a7cbfe"),
+    (6, "f1aea3d37e089deb16cbf2d28e5ede023826e29798eba615ab9e4047f4f4d5580bf801873495892dfc065e5673cef351"),
+    (7, "d61a6b20d7a43d8579cc103677902f30ea3bbf5c82d597f598b11d43667404872179e34a86eab55a556938e6dbc8ab3a"),
+    (8, "fc06b1598c6e66bd7a608a23e1623832a2fe0e8961d17cdc70b9f22cfe44a5c4f45d5b5e1f977dd2766217b0d3e7bed8"),
 ];
 
 /// SHA-384 of every migration, by version. A new migration gets a line here, and a line never changes. There was no version 8.
@@ -51,6 +54,9 @@ const CHECKSUMS: &[(i64, &str)] = &[
     (19, "90f0e5372335e600b889fe8524b1c0b6f0b99fa155288147a960c4af6ae583b5e6c728a50c5395cea7f4077bd6e111d6"),
     (20, "0d93cacd4a55e9c777fca79594287073c2152328f0c17bff985c77a798aa5cdb7843910c8a938ce47e9bd0639a5f6941"),
     (21, "7877354d72605715705932c4fe9afa8b8ddc0607b6fde1875acc5ff961a6ace65ec6d657f943af117d6d35a0cf3031e4"),
+    (22, "30f01823c0feb800aadd97ec72346c949c0cf4561200cf8280b84ef08deb74eba81140c5796d94d2cdaeef7a1cf51764"),
+    (23, "41c8484129fed6be80a6e4a1402c103139179e92563484c90061784c57cb0ec9ed9a6a08410e058bee2c7cb50fbd9855"),
+    (24, "747bafe67375530799012dd410052bcafb778addb435505fc434078c5333206c4a8ec38352ca20f5a30fe26cfd1c33b5"),
 ];
 
 /// Versions whose databases are in `tests/schemas`. A schema is added once a program with it is released.

@@ -57,7 +57,8 @@ impl Coverage {
             let problem: Value = serde_json::from_slice(body).unwrap_or_default();
             problem["type"] == "urn:tcgs:problem:cross-site-request"
         };
-        if matches!(status, 414 | 421 | 431) || (status == 403 && is_cross_site()) {
+        let is_closed_link = path.starts_with("/s/") && status == 404 && method != "HEAD";
+        if matches!(status, 414 | 421 | 431) || (status == 403 && is_cross_site()) || is_closed_link {
             // For any operation, as the contract's common rules say.
             return validate(&place, &json!({ "$ref": "#/components/schemas/Problem" }), body);
         }
@@ -177,6 +178,9 @@ fn operations() -> BTreeSet<(String, String)> {
 
 fn operation(method: &str, path: &str) -> Option<&'static Value> {
     let path = path.split('?').next().unwrap_or_default();
+    // A shared link has the operations of what it opens.
+    let below = path.strip_prefix("/s/").and_then(|path| path.find('/').map(|end| &path[end..]));
+    let path = below.unwrap_or(path);
     let fits = |template: &str| {
         let (mut left, mut right) = (template.split('/'), path.split('/'));
         loop {
@@ -299,7 +303,17 @@ const OBJECTS: &[(&str, &[(&str, &str)])] = &[
             ("examples", "{example}"),
         ],
     ),
-    ("security", &[("type", "any"), ("scheme", "any"), ("bearerFormat", "any"), ("description", "text")]),
+    (
+        "security",
+        &[
+            ("in", "any"),
+            ("name", "any"),
+            ("type", "any"),
+            ("scheme", "any"),
+            ("bearerFormat", "any"),
+            ("description", "text"),
+        ],
+    ),
     (
         "path",
         &[

@@ -17,9 +17,9 @@ use tcgs::{
         ColorFitScores, Conventions, CurvePoint, DatasetSummary, Digest, ExportFidelity, ExportedScene,
         ExposureChoice, ExposureTrial, HeldOut, HeldOutView, Image, Intrinsics, JobId, JobMetrics, JobNeeds,
         Lattice, Layout, LpipsNetwork, MemoryNeeds, Mlp, NamedCamera, NearPlane, Phase, PhaseSeconds, Pose,
-        Problem, ProblemType, Progress, ReadOptions, RenderNetworks, RenderingError, Scene, SceneFormat,
-        SceneFrame, SceneScale, Scores, Similarity, Split, TrainOptions, ValueRange, ViewScore, WorkerCounts,
-        Workers,
+        Preview, Problem, ProblemType, Progress, ReadOptions, RenderNetworks, RenderingError, Scene,
+        SceneFormat, SceneFrame, SceneScale, Scores, Similarity, Split, TrainOptions, ValueRange, ViewScore,
+        WorkerCounts, Workers,
     },
     engine::{SceneEngine, SceneSource},
     pipeline::{CheckpointPlan, CurveFile, JobError, JobOutput, RunJob},
@@ -109,9 +109,11 @@ impl RunJob for FakeRunner {
             "wait" => {
                 self.gate.arrived.notify_one();
                 let mut step = 1;
+                let photograph = Arc::new(flat(8, 6, 77));
                 while !cancel.is_cancelled() {
                     step += 1;
-                    report(Phase::Train, &Progress { step, total, ..Progress::default() });
+                    let preview = Some(preview(step, &photograph));
+                    report(Phase::Train, &Progress { step, total, preview, ..Progress::default() });
                     std::thread::sleep(Duration::from_millis(2));
                 }
                 return Err(JobError::Cancelled);
@@ -137,8 +139,23 @@ impl RunJob for FakeRunner {
             metrics: JobMetrics { rd_curve: points.collect(), ..metrics() },
             cameras: cameras(),
             held_out: Some(held_out()),
+            thumbnail: Some(THUMBNAIL.to_vec()),
         })
     }
+}
+
+/// The thumbnail of every fake job, by its first bytes a JPEG.
+pub const THUMBNAIL: &[u8] = b"\xff\xd8\xff thumbnail";
+
+/// A picture of one gray.
+fn flat(width: u32, height: u32, level: u8) -> Image {
+    Image::new(width, height, 3, vec![level; (3 * width * height) as usize]).expect("an image")
+}
+
+/// A picture that differs from step to step.
+fn preview(step: u64, photograph: &Arc<Image>) -> Preview {
+    let render = Arc::new(flat(4, 3, (step * 16 % 256) as u8));
+    Preview { render, photograph: Arc::clone(photograph) }
 }
 
 /// The file at a place of every fake curve; the first is [`FILE`].

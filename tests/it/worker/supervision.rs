@@ -389,7 +389,7 @@ async fn a_result_is_there_however_long_its_job_had_no_room_to_end() {
     faults.set(None);
     fixture.reaches(id, JobState::Succeeded).await;
     let artifacts = fixture.store.job(id).await.expect("read").expect("known").artifacts;
-    assert_eq!(artifacts.len(), 3);
+    assert_eq!(artifacts.len(), 4);
     for artifact in artifacts {
         fixture.blobs.read(artifact.blob.digest).await.expect("it is there");
     }

@@ -67,7 +67,7 @@ pub use options::{
 pub use orbit::Orbit;
 pub use photograph::{Photograph, PhotographError, PixelSource};
 pub use problem::{Problem, ProblemType};
-pub use progress::{CancelFlag, Phase, PoseProgress, PoseStage, Progress};
+pub use progress::{CancelFlag, Phase, PoseProgress, PoseStage, Preview, Progress};
 pub use read_options::{ExifOrientation, HoldOut, MaskMode, MaskSource, ReadOptions};
 pub use scene_frame::SceneFrame;
 pub use scene_scale::SceneScale;

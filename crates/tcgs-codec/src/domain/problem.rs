@@ -76,6 +76,7 @@ problem_types! {
     ProjectNotFound = 404, "project-not-found", "No such project";
     KeyNotFound = 404, "key-not-found", "No such key";
     EndpointNotFound = 404, "endpoint-not-found", "No such webhook endpoint";
+    ShareNotFound = 404, "share-not-found", "No such link";
     DeliveryNotFound = 404, "delivery-not-found", "No such delivery";
     FrameNotFound = 404, "frame-not-found", "No such frame";
     NoSuchLambda = 404, "no-such-lambda", "No such file";
@@ -97,6 +98,7 @@ problem_types! {
     InvalidKeyRequest = 422, "invalid-key-request", "No such key can be made";
     InvalidEndpoint = 422, "invalid-endpoint", "Invalid webhook endpoint";
     UrlNotAllowed = 422, "url-not-allowed", "URL not allowed";
+    TooManyShares = 409, "too-many-shares", "Too many links";
     TooManyEndpoints = 409, "too-many-endpoints", "Too many endpoints";
     InvalidOption = 422, "invalid-option", "Invalid training option";
     NotAZip = 400, "not-a-zip", "Not a zip archive";

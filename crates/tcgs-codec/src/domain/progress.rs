@@ -1,13 +1,16 @@
 //! The progress of a job, and the flag that cancels it.
 
-use std::sync::{
-    Arc,
-    atomic::{AtomicBool, Ordering},
+use std::{
+    fmt,
+    sync::{
+        Arc,
+        atomic::{AtomicBool, Ordering},
+    },
 };
 
 use serde::{Deserialize, Serialize};
 
-use super::choice::named_choice;
+use super::{choice::named_choice, image::Image};
 
 named_choice! {
     /// A stage of a job.
@@ -59,6 +62,28 @@ pub struct PoseProgress {
     pub reprojection_error: Option<f64>,
 }
 
+/// A picture of the model in training and the photograph of the same view, both RGB; clones share them.
+#[derive(Clone)]
+pub struct Preview {
+    /// The model's view.
+    pub render: Arc<Image>,
+    /// The same in all previews of a run.
+    pub photograph: Arc<Image>,
+}
+
+/// Whether it is the same picture, not an equal one.
+impl PartialEq for Preview {
+    fn eq(&self, other: &Self) -> bool {
+        Arc::ptr_eq(&self.render, &other.render)
+    }
+}
+
+impl fmt::Debug for Preview {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "Preview({}x{})", self.render.width(), self.render.height())
+    }
+}
+
 /// A report of progress, as the API and the progress bar show it.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
@@ -79,7 +104,7 @@ pub struct Progress {
     pub gaussians: u64,
     /// Training loss, averaged over recent steps.
     pub loss: Option<f64>,
-    /// Training PSNR in dB, averaged over recent steps.
+    /// PSNR of the model in dB: of a few held-out views, measured now and then, or of training views over recent steps.
     pub psnr: Option<f64>,
     /// Training SSIM, averaged over recent steps.
     pub ssim: Option<f64>,
@@ -90,6 +115,9 @@ pub struct Progress {
     /// Iteration of the newest checkpoint, 0 before the first. Only the queue uses it, to see whether an attempt made progress.
     #[serde(skip)]
     pub checkpoint_step: u64,
+    /// A new picture of the model.
+    #[serde(skip)]
+    pub preview: Option<Preview>,
 }
 
 /// A flag that is set once to cancel work in another thread.

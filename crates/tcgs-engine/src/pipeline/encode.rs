@@ -102,6 +102,7 @@ pub fn encode(
         lpips: None,
         reference: None,
         checkpoint_every: None,
+        is_watched: false,
         ingest_seconds: 0.0,
     };
     match write_file(&inputs, options, trained, &mut || ()) {

@@ -1,4 +1,4 @@
-//! Pictures of held-out views for the report: photograph, render and error, the worst views first.
+//! Pictures of a finished file: of held-out views for the report, the worst first, each with photograph, render and error; and a thumbnail.
 //!
 //! They are rendered from the finished file's scene after everything is measured, and change nothing about it.
 
@@ -7,7 +7,7 @@ use thiserror::Error;
 
 use super::{error::JobError, inputs::RunInputs, scene_file};
 use crate::{
-    domain::{Frame, HeldOut, HeldOutView, Image, PhotographError, Problem, Scores, ViewScore},
+    domain::{Background, Frame, HeldOut, HeldOutView, Image, PhotographError, Problem, Scores, ViewScore},
     eval::{ERROR_CEILING, InFlight, Target, ViewTasks, error_map, error_ramp, for_each_view, shrunk},
     picture::{PictureError, PictureFormat},
     render::{RenderError, Renderer},
@@ -20,6 +20,9 @@ const BEST: usize = 2;
 /// Longest side of a picture.
 const SIDE: u32 = 512;
 const JPEG_QUALITY: u8 = 88;
+/// Longest side of the thumbnail: twice what lists show, for screens with finer pixels.
+const THUMBNAIL_SIDE: u32 = 480;
+const THUMBNAIL_QUALITY: u8 = 80;
 
 /// Why there are no pictures.
 #[derive(Debug, Error)]
@@ -38,30 +41,60 @@ enum HeldOutError {
     Picture(#[from] PictureError),
 }
 
-/// Pictures of held-out views of a finished file, or none where they cannot be made: that must not fail the job, since only its
-/// report shows them. Calls `heartbeat` before each view.
-pub(super) fn held_out_or_warn(
+/// What is shown of a finished file.
+#[derive(Debug, Default)]
+pub(super) struct FilePictures {
+    pub(super) held_out: Option<HeldOut>,
+    /// JPEG.
+    pub(super) thumbnail: Option<Vec<u8>>,
+}
+
+/// Pictures of a finished file, or none where they cannot be made: that must not fail the job, since only pages show them. Calls
+/// `heartbeat` before each view.
+pub(super) fn pictures_or_warn(
     inputs: &RunInputs<'_>,
     file: &[u8],
     scores: &Scores,
     heartbeat: &mut dyn FnMut(),
-) -> Result<Option<HeldOut>, JobError> {
-    let pictures = held_out(inputs, file, scores, heartbeat).unwrap_or_else(|error| {
-        tracing::warn!("the report will have no held-out views: {error}");
-        None
+) -> Result<FilePictures, JobError> {
+    let pictures = pictures(inputs, file, scores, heartbeat).unwrap_or_else(|error| {
+        if !matches!(error, HeldOutError::Cancelled) {
+            tracing::warn!("the job will have neither pictures of held-out views nor a thumbnail: {error}");
+        }
+        FilePictures::default()
     });
     inputs.check_cancelled()?;
     Ok(pictures)
 }
 
-fn held_out(
+fn pictures(
     inputs: &RunInputs<'_>,
     file: &[u8],
     scores: &Scores,
     heartbeat: &mut dyn FnMut(),
-) -> Result<Option<HeldOut>, HeldOutError> {
+) -> Result<FilePictures, HeldOutError> {
     let file = scene_file::read(file).map_err(HeldOutError::File)?;
     let mut renderer = Renderer::of_scene(&inputs.device, &file.scene, file.background)?;
+    let mut render = |frame: &Frame| {
+        heartbeat();
+        if inputs.cancel.is_cancelled() {
+            return Err(HeldOutError::Cancelled);
+        }
+        Ok(renderer.render(&frame.camera)?)
+    };
+    let held_out = held_out(inputs, file.background, scores, &mut render)?;
+    Ok(FilePictures { held_out, thumbnail: thumbnail(inputs, scores, &mut render)? })
+}
+
+/// Renders one view.
+type RenderFrame<'a> = dyn FnMut(&Frame) -> Result<Image, HeldOutError> + 'a;
+
+fn held_out(
+    inputs: &RunInputs<'_>,
+    background: Background,
+    scores: &Scores,
+    render: &mut RenderFrame<'_>,
+) -> Result<Option<HeldOut>, HeldOutError> {
     let frames = inputs.test_views();
     let shown: Vec<(&ViewScore, &Frame)> = chosen(&scores.per_view)
         .into_iter()
@@ -69,29 +102,43 @@ fn held_out(
         .collect();
     let mut pictures = Vec::new();
     let tasks = ViewTasks::<_, HeldOutError> {
-        render: &mut |frame| {
-            heartbeat();
-            if inputs.cancel.is_cancelled() {
-                return Err(HeldOutError::Cancelled);
-            }
-            Ok(renderer.render(&frame.camera)?)
-        },
-        process: &|frame, render| ViewPictures::of(frame, &render, &Target::of(frame, file.background)?),
+        render: &mut |frame| render(frame),
+        process: &|frame, render| ViewPictures::of(frame, &render, &Target::of(frame, background)?),
         collect: &mut |made| {
             pictures.push(made);
             Ok(())
         },
     };
     let to_render: Vec<&Frame> = shown.iter().map(|(_, frame)| *frame).collect();
-    match for_each_view(&to_render, InFlight::Several, tasks) {
-        Err(HeldOutError::Cancelled) => return Ok(None),
-        result => result?,
-    }
+    for_each_view(&to_render, InFlight::Several, tasks)?;
     let views = shown.into_iter().zip(pictures);
     let views: Vec<HeldOutView> =
         views.map(|((score, frame), pictures)| pictures.beside(score, frame)).collect();
     let sheet = HeldOut { of: frames.len(), ceiling: ERROR_CEILING, ramp: error_ramp(), views };
     Ok((!sheet.views.is_empty()).then_some(sheet))
+}
+
+/// A small picture of the best held-out view or, without one, of the first training view.
+fn thumbnail(
+    inputs: &RunInputs<'_>,
+    scores: &Scores,
+    render: &mut RenderFrame<'_>,
+) -> Result<Option<Vec<u8>>, HeldOutError> {
+    let best = scores.per_view.iter().max_by(|a, b| a.psnr.total_cmp(&b.psnr));
+    let frames = &inputs.dataset.frames;
+    let frame = best.and_then(|best| frames.iter().find(|frame| frame.name == best.name)).or(frames.first());
+    let Some(frame) = frame else { return Ok(None) };
+    let small = shrunk(&render(frame)?, THUMBNAIL_SIDE);
+    let small = small.ok_or_else(|| HeldOutError::Size(frame.name.clone()))?;
+    Ok(Some(PictureFormat::Jpeg { quality: THUMBNAIL_QUALITY }.encode(&small)?))
+}
+
+/// The JPEG file of a picture in a preview.
+///
+/// # Errors
+/// [`PictureError`] for a picture that JPEG has no place for.
+pub fn preview_file(picture: &Image) -> Result<Vec<u8>, PictureError> {
+    PictureFormat::Jpeg { quality: THUMBNAIL_QUALITY }.encode(picture)
 }
 
 /// The views to show, worst first.

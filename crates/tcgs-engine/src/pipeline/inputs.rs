@@ -33,6 +33,8 @@ pub(super) struct RunInputs<'a> {
     pub(super) reference: Option<ReferenceViews>,
     /// Time between two checkpoints, if it is not the usual one.
     pub(super) checkpoint_every: Option<SignedDuration>,
+    /// Whether reports have pictures of the model and figures measured on it.
+    pub(super) is_watched: bool,
     /// Seconds that the dataset took to read.
     pub(super) ingest_seconds: f64,
 }
@@ -40,7 +42,10 @@ pub(super) struct RunInputs<'a> {
 impl<'a> RunInputs<'a> {
     /// A run of this job.
     pub(super) fn trainer<'b, 'c>(&'b self, options: &'b TrainOptions) -> Trainer<'b, 'c> {
-        Trainer::new(&self.device, self.dataset, options).within(self.budget).cancelled_by(self.cancel)
+        Trainer::new(&self.device, self.dataset, options)
+            .within(self.budget)
+            .cancelled_by(self.cancel)
+            .watched(self.is_watched)
     }
 
     pub(super) fn test_views(&self) -> Vec<&'a Frame> {

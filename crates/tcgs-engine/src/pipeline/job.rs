@@ -31,6 +31,8 @@ pub struct JobOutput {
     pub cameras: Vec<NamedCamera>,
     /// Pictures of held-out views, if the runner makes them and there are held-out views.
     pub held_out: Option<HeldOut>,
+    /// A small JPEG of one view, if the runner makes pictures.
+    pub thumbnail: Option<Vec<u8>>,
 }
 
 impl JobOutput {

@@ -37,12 +37,13 @@ pub use calibrate::Calibration;
 pub use encode::encode;
 pub use error::JobError;
 pub use estimate::{Machine, job_needs};
+pub use held_out::preview_file;
 pub use inputs::ReferenceViews;
 pub use job::{CheckpointPlan, CurveFile, JobOutput, Resume, RunJob};
 
 use self::{
     curve::run_curve,
-    held_out::held_out_or_warn,
+    held_out::{FilePictures, pictures_or_warn},
     inputs::RunInputs,
     train_file::{TrainedFile, train_file},
 };
@@ -64,7 +65,7 @@ pub struct Pipeline {
     memory: MemoryLimits,
     spill_dir: PathBuf,
     lpips: Option<Box<dyn PerceptualDistance>>,
-    has_held_out_pictures: bool,
+    has_pictures: bool,
     reference: Option<ReferenceViews>,
     checkpoint_every: Option<SignedDuration>,
     has_profile: bool,
@@ -80,7 +81,7 @@ impl Pipeline {
             memory: MemoryLimits::NONE,
             spill_dir: std::env::temp_dir(),
             lpips: None,
-            has_held_out_pictures: false,
+            has_pictures: false,
             reference: None,
             checkpoint_every: None,
             has_profile: false,
@@ -100,10 +101,11 @@ impl Pipeline {
         Self { lpips, ..self }
     }
 
-    /// Also makes pictures of held-out views ([`JobOutput::held_out`]).
+    /// Also makes pictures: previews while it trains, whose reports then have figures of the model as it is, and of the result
+    /// ([`JobOutput::held_out`], [`JobOutput::thumbnail`]).
     #[must_use]
     pub fn with_pictures(self) -> Self {
-        Self { has_held_out_pictures: true, ..self }
+        Self { has_pictures: true, ..self }
     }
 
     /// Also holds the renderer to the f64 reference on these views ([`JobMetrics::rendering`](crate::domain::JobMetrics)).
@@ -188,6 +190,7 @@ impl RunJob for Pipeline {
             lpips,
             reference,
             checkpoint_every,
+            is_watched: self.has_pictures,
             ingest_seconds,
         };
         inputs.check_cancelled()?;
@@ -198,18 +201,18 @@ impl RunJob for Pipeline {
         } else {
             run_curve(&inputs, options, checkpoints, &mut report)?
         };
-        let held_out = if self.has_held_out_pictures {
+        let FilePictures { held_out, thumbnail } = if self.has_pictures {
             let end = latest.borrow().clone();
-            held_out_or_warn(&inputs, &file, &metrics.test, &mut || report(Phase::Evaluate, &end))?
+            pictures_or_warn(&inputs, &file, &metrics.test, &mut || report(Phase::Evaluate, &end))?
         } else {
-            None
+            FilePictures::default()
         };
         let cameras = dataset
             .frames
             .iter()
             .map(|frame| NamedCamera { name: frame.name.clone(), split: frame.split, camera: frame.camera })
             .collect();
-        Ok(JobOutput { file, format, others, metrics, cameras, held_out })
+        Ok(JobOutput { file, format, others, metrics, cameras, held_out, thumbnail })
     }
 }
 

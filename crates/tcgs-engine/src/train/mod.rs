@@ -23,6 +23,7 @@ mod loss;
 mod masks;
 mod memory_estimate;
 mod model_trainer;
+mod monitor;
 mod photographs;
 mod plain;
 mod prune_invisible;

@@ -3,7 +3,9 @@ use rand::RngExt;
 
 use super::*;
 use crate::{
-    domain::{Camera, Digest, Image, Intrinsics, Layout, PointCloud, Pose, Preset},
+    domain::{
+        Camera, Digest, Image, Intrinsics, Layout, PointCloud, Pose, Preset, evenly_spaced::evenly_spaced,
+    },
     gpu::testing::lavapipe,
     train::{CheckpointError, exposure::distance_of_mean},
 };
@@ -75,6 +77,56 @@ fn steps_are_the_same_in_batches_and_with_little_room(dataset: Dataset) {
         let (again, others, other) = run(batch, room);
         assert!(other == scene && others == losses, "batches of {batch} with room for {room:?}");
         assert_eq!(again > STEPS, room.is_some(), "{again} steps recorded with room for {room:?}");
+    }
+}
+
+#[test]
+fn looking_at_the_model_changes_no_bit() {
+    let device = lavapipe();
+    let options = TrainOptions { iterations: Some(STEPS), seed: 3, ..TrainOptions::default() };
+    let budget = MemoryBudget { host: u64::MAX, gpu: u64::MAX };
+    for dataset in [dataset(), Dataset { points: None, ..dataset() }] {
+        let run = |is_watched: bool| {
+            let mut run = Run::new(&device, &dataset, &options, &budget, None).expect("begins");
+            if is_watched {
+                run.monitor = Some(Monitor::new(&device, &dataset, run.frame, options.background));
+            }
+            let mut seen = Vec::new();
+            while run.state.step < STEPS {
+                run.advance(&mut |_| true, &CancelFlag::default()).expect("steps");
+                if is_watched {
+                    // With time for every look.
+                    let monitor = run.monitor.take().expect("a monitor");
+                    run.monitor = Some(monitor.with_time());
+                    run.look().expect("a look");
+                }
+                seen.extend(std::mem::take(&mut run.news).into_iter().map(|news| run.as_seen(news)));
+            }
+            (seen, run.finish(&CancelFlag::default()).expect("a scene"))
+        };
+        let ((alone, scene), (watched, same)) = (run(false), run(true));
+        assert!(scene.scene == same.scene && scene.context == same.context);
+        assert!(alone.iter().all(|report| report.preview.is_none()));
+        for (alone, watched) in alone.iter().zip(&watched) {
+            assert_eq!(
+                (alone.loss, alone.anchors, alone.bytes),
+                (watched.loss, watched.anchors, watched.bytes)
+            );
+            let preview = watched.preview.as_ref().expect("a preview");
+            assert_eq!((preview.render.width(), preview.render.height()), (64, 48));
+            assert_eq!(preview.photograph.width(), 64);
+        }
+        // The last one is that of the finished scene, before it is written.
+        let mut renderer =
+            crate::render::Renderer::of_scene(&device, &scene.scene, options.background).expect("a scene");
+        let frames: Vec<&Frame> = evenly_spaced(&dataset.frames, 4).collect();
+        let psnr = frames.iter().map(|frame| {
+            let target = crate::eval::Target::of(frame, options.background).expect("readable");
+            target.psnr(&renderer.render(&frame.camera).expect("rendered")).expect("a figure")
+        });
+        let result = psnr.sum::<f64>() / frames.len() as f64;
+        let last = watched.last().and_then(|report| report.psnr).expect("a figure");
+        assert!((last - result).abs() < 0.05, "{last} dB at the end of training, {result} dB of the result");
     }
 }
 
