@@ -277,7 +277,9 @@ mod tests {
         assert_eq!((off.with.len(), off.without.len()), (0, 2));
         let auto = change(json!({ "plane_compression": "auto" })).expect("possible");
         assert_eq!((auto.with.len(), auto.without.len()), (0, 1));
-        assert!(change(json!({ "model": "3dgs" })).expect_err("lambda is for tcgs").contains("lambda"));
+        assert!(
+            change(json!({ "rd_curve": [0.001, 0.002] })).expect_err("not with lambda").contains("lambda")
+        );
         assert!(change(json!({ "iteratons": 7 })).expect_err("no option").contains("iteratons: is not"));
         assert!(change(json!({ "seed": 1_u64 << 53 })).expect_err("too large").contains("seed"));
     }
