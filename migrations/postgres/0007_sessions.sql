@@ -1,4 +1,4 @@
--- As version 22 of SQLite's schema.
+-- As version 23 of SQLite's schema.
 CREATE TABLE sessions (
     hash       TEXT COLLATE "C" NOT NULL PRIMARY KEY,
     key_id     TEXT COLLATE "C" NOT NULL REFERENCES keys (id) ON DELETE CASCADE,

@@ -1,4 +1,4 @@
--- As version 23 of SQLite's schema.
+-- As version 24 of SQLite's schema.
 CREATE TABLE shares (
     id         TEXT COLLATE "C" NOT NULL PRIMARY KEY,
     job_id     TEXT COLLATE "C" NOT NULL REFERENCES jobs (id) ON DELETE CASCADE,

@@ -139,6 +139,7 @@ mod tests {
             ssim: None,
             bytes: Some(152_340),
             poses: None,
+            preview: None,
             checkpoint_step: 0,
         }
     }
