@@ -13,7 +13,7 @@ use tcgs::{
 use super::{CliError, Report, adapter::AdapterFlag, files, notice::notice, reading::LENIENT, wiring};
 
 /// The formats that other programs read.
-const FORMATS: [SceneFormat; 3] = [SceneFormat::Ply, SceneFormat::Spz, SceneFormat::Spz3];
+const FORMATS: [SceneFormat; 6] = SceneFormat::EXPORTS;
 
 /// Arguments of `tcgs export`.
 #[derive(Debug, clap::Args)]
@@ -21,8 +21,8 @@ pub(crate) struct Args {
     /// A .tcgs file, the .safetensors or .ply of a baseline, or a .spz
     file: PathBuf,
 
-    /// Format to write: ply for floats, spz for a tenth of the size, spz3 for viewers that read only version 3 of it [default:
-    /// that of the output's extension]
+    /// Format to write: ply, glb or usda for floats, spz for a tenth of the size, spz3 for viewers that read only version 3 of it, sog
+    /// for pages [default: that of the output's extension]
     #[arg(long, value_parser = PossibleValuesParser::new(FORMATS.map(SceneFormat::name)).try_map(|name| name.parse::<SceneFormat>()))]
     format: Option<SceneFormat>,
 
@@ -60,6 +60,10 @@ pub(crate) struct Args {
     #[arg(long, value_name = "X", default_value_t = 1.0)]
     scale: f64,
 
+    /// Keep at most this many Gaussians: those that the dataset's training cameras, or cameras on a sphere, show most
+    #[arg(long, value_name = "N", value_parser = at_least_one)]
+    limit_gaussians: Option<usize>,
+
     /// Do not measure the loss, which needs an adapter
     #[arg(long)]
     unmeasured: bool,
@@ -82,7 +86,9 @@ struct Summary {
     source: Source,
     /// Null if the source holds plain Gaussians already.
     baked: Option<wiring::Baking>,
-    /// Null for a `.ply`.
+    /// Null if all Gaussians were kept.
+    limited: Option<wiring::Limited>,
+    /// Null unless the format is a `.spz`.
     spz: Option<wiring::Packing>,
     /// Where the file's coordinates are in the world.
     place: wiring::Place,
@@ -140,8 +146,15 @@ pub(crate) fn run(args: &Args) -> Result<Report, CliError> {
     let similarity = placement.similarity(cameras.as_deref().unwrap_or_default());
     let similarity = similarity.map_err(|error| CliError::Usage(format!("--{error}")))?;
     let origin = if args.world { Origin::World } else { Origin::Nearby };
-    let exported = wiring::export(&file, format, args.sh_degree, cameras.as_deref(), origin, &similarity)
-        .map_err(in_file)?;
+    let settings = wiring::ExportSettings {
+        format,
+        degree: args.sh_degree,
+        origin,
+        up: args.up,
+        similarity,
+        limit: args.limit_gaussians,
+    };
+    let exported = wiring::export(&file, &settings, cameras.as_deref()).map_err(in_file)?;
     let source = Source {
         format: file.format,
         bytes: bytes.len(),
@@ -150,7 +163,7 @@ pub(crate) fn run(args: &Args) -> Result<Report, CliError> {
         decode_sha256: file.decode_sha256,
     };
     files::write(&args.output, &exported.bytes)?;
-    let gaussians = wiring::read(&exported.bytes)?.scene.gaussians();
+    let gaussians = exported.gaussians;
     let quality = match renderer {
         None => None,
         Some(renderer) => {
@@ -167,6 +180,7 @@ pub(crate) fn run(args: &Args) -> Result<Report, CliError> {
         sh_degree: exported.degree,
         source,
         baked: exported.baking,
+        limited: exported.limited,
         spz: exported.packing,
         place: exported.place,
         placement: (!placement.is_none()).then(|| {
@@ -179,13 +193,23 @@ pub(crate) fn run(args: &Args) -> Result<Report, CliError> {
     Ok(Report::new(text(&summary), &summary))
 }
 
+/// A number of Gaussians.
+fn at_least_one(text: &str) -> Result<usize, String> {
+    match text.parse() {
+        Ok(0) | Err(_) => Err("is not a whole number from 1".to_owned()),
+        Ok(count) => Ok(count),
+    }
+}
+
 /// The format that the name of an output asks for.
 fn format_of(output: &Path) -> Result<SceneFormat, CliError> {
     let extension = output.extension().map(|extension| extension.to_string_lossy().to_ascii_lowercase());
     let format = FORMATS.into_iter().find(|format| extension.as_deref() == Some(format.extension()));
     format.ok_or_else(|| {
         let output = output.display();
-        CliError::Usage(format!("--output: '{output}' does not end in .ply or .spz; name a --format"))
+        CliError::Usage(format!(
+            "--output: '{output}' does not end in .ply, .spz, .glb, .usda or .sog; name a --format"
+        ))
     })
 }
 
@@ -208,7 +232,7 @@ fn held_out(dataset: &Dataset, background: Background) -> Result<Vec<(String, Ca
 }
 
 fn text(summary: &Summary) -> String {
-    let Summary { source, baked, spz, place, placement, quality, .. } = summary;
+    let Summary { source, baked, limited, spz, place, placement, quality, .. } = summary;
     let mut lines = vec![format!(
         "source    .{}, {} bytes; {} anchors, {} Gaussians",
         source.format.extension(),
@@ -220,6 +244,12 @@ fn text(summary: &Summary) -> String {
         lines.push(format!(
             "baked     from {} views ({}) in {:.2} s; {} offsets invisible in all of them left out",
             baked.views, baked.from, baked.seconds, baked.unseen
+        ));
+    }
+    if let Some(limited) = limited {
+        lines.push(format!(
+            "limited   to {} of {} Gaussians, those that {} views show most",
+            summary.gaussians, limited.of, limited.views
         ));
     }
     if let Some(spz) = spz {

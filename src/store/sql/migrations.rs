@@ -39,6 +39,7 @@ pub static SQLITE: LazyLock<Migrator> = migrations! {
         "0018_publications",
         "0019_viewers",
         "0020_poses",
+        "0021_export_formats",
 };
 
 /// Migrations of PostgreSQL databases.
@@ -48,6 +49,7 @@ pub static POSTGRES: LazyLock<Migrator> = migrations! {
         "0002_publications",
         "0003_viewers",
         "0004_poses",
+        "0005_export_formats",
 };
 
 /// A migrator that records each file under its version and description.

@@ -26,6 +26,7 @@ const POSTGRES_CHECKSUMS: &[(i64, &str)] = &[
     (2, "4e6c8ef62d6e56a998d730a56b2d320f917a353ab5520c76e7511f2b897e2303ac3464f9f37d38e7b57620543a4d3b15"),
     (3, "d847f5a8ada30246995cb4184c7205b4477ab0eb03380d0a3b9fc0b79f7c64daf7ceacb941c14b8442cf2a1a684afbbd"),
     (4, "97928cced02298763bc38780a333aaf889b4b7eadae8b2bb69b8759a504bc5efc7c3ef5cdcec71bf191c07e559e5fadd"),
+    (5, "f912862497ec27f4c02a3eaa741d57943cc820a0fdcefa8e897bf73350d509e187a0ec65478f649dcdb7828f3ed8cef8"),
 ];
 
 /// SHA-384 of every migration, by version. A new migration gets a line here, and a line never changes. There was no version 8.
@@ -49,6 +50,7 @@ const CHECKSUMS: &[(i64, &str)] = &[
     (18, "b7ab0b48d4baab35b999112af709958cadd5947225004c34135895cddaeb493564b531ff9226597311b14bf830eb1a9a"),
     (19, "90f0e5372335e600b889fe8524b1c0b6f0b99fa155288147a960c4af6ae583b5e6c728a50c5395cea7f4077bd6e111d6"),
     (20, "0d93cacd4a55e9c777fca79594287073c2152328f0c17bff985c77a798aa5cdb7843910c8a938ce47e9bd0639a5f6941"),
+    (21, "d2f704ef5a3678f88b806a8446b531a912a5ff93bfcf19de7ea4ec036f985836ff48d32d3c04f26384dd272ac51acb6b"),
 ];
 
 /// Versions whose databases are in `tests/schemas`. A schema is added once a program with it is released.
