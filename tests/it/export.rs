@@ -485,16 +485,52 @@ fn splat_transform_reads_and_writes_the_same_scenes() {
     }
 }
 
+#[test]
+fn a_sog_is_a_zip_of_lossless_pictures_in_which_the_scene_is_found_again() {
+    let scene = from_ply(&bytes_of(interop("gaussians.ply"))).expect("a scene");
+    let written = to_sog(&scene).expect("writes");
+    assert_eq!(written.bytes, to_sog(&scene).expect("writes").bytes, "the bytes vary");
+    let mut zip = zip::ZipArchive::new(std::io::Cursor::new(written.bytes)).expect("a zip");
+    let mut file = |name: &str| {
+        let mut bytes = Vec::new();
+        zip.by_name(name).expect("a file").read_to_end(&mut bytes).expect("its bytes");
+        bytes
+    };
+    let meta: Value = serde_json::from_slice(&file("meta.json")).expect("JSON");
+    assert_eq!((&meta["version"], &meta["count"]), (&json!(2), &json!(written.scene.len())));
+    let mut picture = |name: &str| image::load_from_memory(&file(name)).expect("a picture").to_rgba8();
+    let (low, high, scales) = (picture("means_l.webp"), picture("means_u.webp"), picture("scales.webp"));
+    let bounds = |name: &str, axis: usize| number(&meta["means"][name][axis]);
+    for (pixel, mean) in written.scene.means.iter().enumerate() {
+        let at =
+            |picture: &image::RgbaImage, channel: usize| f64::from(picture.as_raw()[4 * pixel + channel]);
+        for axis in 0..3 {
+            let share = (at(&low, axis) + 256.0 * at(&high, axis)) / 65535.0;
+            let (min, max) = (bounds("mins", axis), bounds("maxs", axis));
+            let logarithm = min + (max - min) * share;
+            let value = logarithm.signum() * (logarithm.abs().exp() - 1.0);
+            assert!((value - f64::from(mean[axis])).abs() < 1e-6, "{value} and {mean:?}");
+            let scale = number(&meta["scales"]["codebook"][at(&scales, axis) as usize]);
+            assert!((scale - f64::from(written.scene.log_scales[pixel][axis])).abs() < 1e-6);
+        }
+        let nearest = scene
+            .means
+            .iter()
+            .map(|other| (0..3).map(|axis| (other[axis] - mean[axis]).abs()).fold(0.0_f32, f32::max));
+        assert!(nearest.fold(f32::MAX, f32::min) < 1e-3, "{mean:?} is no mean of the scene");
+    }
+}
+
 /// `.sog` holds what `compare` measures: the Gaussians that another program reads.
 #[test]
 fn splat_transform_reads_the_sog_that_is_written() {
     let Some(program) = splat_transform() else { return };
     let folder = tempfile::tempdir().expect("a folder");
     let (ours, theirs) = (folder.path().join("ours.sog"), folder.path().join("theirs.ply"));
+    let file = scene_file(folder.path());
     for degree in ["0", "1", "3"] {
         let ply = folder.path().join("whole.ply");
-        let arguments =
-            line!["export", scene_file(folder.path()), "-o", ply, "--unmeasured", "--sh-degree", degree];
+        let arguments = line!["export", file, "-o", ply, "--unmeasured", "--sh-degree", degree];
         succeeds(arguments);
         let written = to_sog(&from_ply(&bytes_of(&ply)).expect("a scene")).expect("writes");
         std::fs::write(&ours, &written.bytes).expect("writes");

@@ -119,9 +119,9 @@ pub(super) async fn a_scene_is_exported_once_and_kept(coverage: Coverage) {
     let kept = listed(&server, &job).await;
     let exports: Vec<&Value> = kept.iter().filter(|file| file["origin"] == "export").collect();
     let kinds: Vec<&Value> = exports.iter().map(|file| &file["kind"]).collect();
-    assert_eq!(kinds, ["glb", "ply", "spz", "spz3"]);
+    assert_eq!(kinds, ["ply", "spz", "spz3", "glb"]);
     let fidelity: Vec<&Value> = exports.iter().map(|file| &file["fidelity"]).collect();
-    assert_eq!(fidelity, [&Value::Null, &json!({ "psnr": 41.256, "views": 2 }), &Value::Null, &Value::Null]);
+    assert_eq!(fidelity, [&json!({ "psnr": 41.256, "views": 2 }), &Value::Null, &Value::Null, &Value::Null]);
     for file in &exports {
         assert_eq!((&file["gaussians"], &file["sh_degree"]), (&json!(5), &json!(3)));
         assert_eq!(file["lambda"], 0.004);
