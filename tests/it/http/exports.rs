@@ -177,7 +177,7 @@ pub(super) async fn a_scene_is_exported_once_and_kept(coverage: Coverage) {
     let same = server.get(&format!("{plain}/export?format=ply")).await.expect(200);
     assert_eq!(same.body, fakes::FILE, "it is written so already");
     assert!(!same.headers.contains_key("x-export-psnr"));
-    assert_eq!(server.exporter.made.load(Ordering::SeqCst), 3);
+    assert_eq!(server.exporter.made.load(Ordering::SeqCst), 4);
 
     server.send("DELETE", &job, |request| request).await.expect(204);
     server.get(exports[0]["href"].as_str().expect("a path")).await.expect(404);
