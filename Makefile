@@ -89,9 +89,9 @@ container-smoke: setup ## build the image of docker/Dockerfile around the debug 
 manifests: ## hold docker/kubernetes to Kubernetes' schemas, which come through PyPI
 	@scripts/manifests.sh
 
-interop: setup ## hold exports to splat-transform, which comes through npm
+interop: setup ## hold exports to splat-transform and usd-core, which come through npm and PyPI
 	@scripts/splat_transform.sh --version
-	@. scripts/env.sh && TCGS_SPLAT_TRANSFORM="$$(scripts/splat_transform.sh --where)" cargo test --locked --test it export:: -- --nocapture
+	@. scripts/env.sh && TCGS_SPLAT_TRANSFORM="$$(scripts/splat_transform.sh --where)" TCGS_USD_PYTHON="$$(scripts/usd_python.sh)" cargo test --locked --test it export:: -- --nocapture
 
 external-formats: ## convert IN (a .ply of plain Gaussians) to .sog and .spz and back, into OUT
 	@scripts/external_formats.sh "$(IN)" "$(OUT)"

@@ -17,6 +17,11 @@ if [ -z "${TCGS_SPLAT_TRANSFORM:-}" ] && TCGS_SPLAT_TRANSFORM=$(scripts/splat_tr
 elif [ -z "${TCGS_SPLAT_TRANSFORM:-}" ]; then
     lacks_test_tool splat-transform
 fi
+if [ -z "${TCGS_USD_PYTHON:-}" ] && TCGS_USD_PYTHON=$(scripts/usd_python.sh); then
+    export TCGS_USD_PYTHON
+elif [ -z "${TCGS_USD_PYTHON:-}" ]; then
+    lacks_test_tool usd-core
+fi
 if [ -z "${TCGS_POSES_PYTHON:-}" ] && TCGS_POSES_PYTHON=$(scripts/poses.sh --where); then
     export TCGS_POSES_PYTHON
 elif [ -z "${TCGS_POSES_PYTHON:-}" ]; then

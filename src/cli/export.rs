@@ -15,7 +15,28 @@ use super::{
 };
 
 /// The formats that other programs read.
-const FORMATS: [SceneFormat; 3] = [SceneFormat::Ply, SceneFormat::Spz, SceneFormat::Spz3];
+const FORMATS: [SceneFormat; 6] = SceneFormat::EXPORTS;
+
+/// The name and extension of a page.
+const PAGE: &str = "html";
+
+/// What is written.
+#[derive(Debug, Clone, Copy)]
+enum Written {
+    Scene(SceneFormat),
+    /// The scene with its viewer.
+    Page,
+}
+
+impl Written {
+    fn names() -> Vec<&'static str> {
+        FORMATS.map(SceneFormat::name).into_iter().chain([PAGE]).collect()
+    }
+
+    fn named(name: &str) -> Result<Self, <SceneFormat as std::str::FromStr>::Err> {
+        if name == PAGE { Ok(Self::Page) } else { name.parse().map(Self::Scene) }
+    }
+}
 
 /// Arguments of `tcgs export`.
 #[derive(Debug, clap::Args)]
@@ -23,10 +44,10 @@ pub(crate) struct Args {
     /// A .tcgs file, the .safetensors or .ply of a baseline, or a .spz
     file: PathBuf,
 
-    /// Format to write: ply for floats, spz for a tenth of the size, spz3 for viewers that read only version 3 of it [default:
-    /// that of the output's extension]
-    #[arg(long, value_parser = PossibleValuesParser::new(FORMATS.map(SceneFormat::name)).try_map(|name| name.parse::<SceneFormat>()))]
-    format: Option<SceneFormat>,
+    /// Format to write: ply, glb or usda for floats, spz for a tenth of the size, spz3 for viewers that read only version 3 of it, sog
+    /// for pages, html for a page that shows a .tcgs file itself [default: that of the output's extension]
+    #[arg(long, value_parser = PossibleValuesParser::new(Written::names()).try_map(|name| Written::named(&name)))]
+    format: Option<Written>,
 
     /// The file to write
     #[arg(short, long, value_name = "OUT")]
@@ -62,6 +83,10 @@ pub(crate) struct Args {
     #[arg(long, value_name = "X", default_value_t = 1.0)]
     scale: f64,
 
+    /// Keep at most this many Gaussians: those that the dataset's training cameras, or cameras on a sphere, show most
+    #[arg(long, value_name = "N", value_parser = at_least_one)]
+    limit_gaussians: Option<usize>,
+
     /// Do not measure the loss, which needs an adapter
     #[arg(long)]
     unmeasured: bool,
@@ -84,7 +109,9 @@ struct Summary {
     source: Source,
     /// Null if the source holds plain Gaussians already.
     baked: Option<wiring::Baking>,
-    /// Null for a `.ply`.
+    /// Null if all Gaussians were kept.
+    limited: Option<wiring::Limited>,
+    /// Null unless the format is a `.spz`.
     spz: Option<wiring::Packing>,
     /// Where the file's coordinates are in the world.
     place: wiring::Place,
@@ -113,14 +140,11 @@ struct Source {
 
 /// Bakes, writes, measures.
 pub(crate) fn run(args: &Args) -> Result<Report, CliError> {
-    if args.output.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("html")) {
-        let dataset = args.dataset.as_deref().map(|path| wiring::load_as(path, &LENIENT)).transpose()?;
-        return export_page::run(&args.file, &args.output, dataset.as_ref());
-    }
-    let format = match args.format {
-        Some(format) => format,
-        None => format_of(&args.output)?,
+    let written = match args.format {
+        Some(written) => written,
+        None => written_for(&args.output)?,
     };
+    let Written::Scene(format) = written else { return page(args) };
     let placement = Placement { up: args.up, scale: args.scale };
     let placement = placement.validated().map_err(|error| CliError::Usage(format!("--{error}")))?;
     files::check_output(&args.output, &args.file, &[format.extension()])?;
@@ -146,8 +170,15 @@ pub(crate) fn run(args: &Args) -> Result<Report, CliError> {
     let similarity = placement.similarity(cameras.as_deref().unwrap_or_default());
     let similarity = similarity.map_err(|error| CliError::Usage(format!("--{error}")))?;
     let origin = if args.world { Origin::World } else { Origin::Nearby };
-    let exported = wiring::export(&file, format, args.sh_degree, cameras.as_deref(), origin, &similarity)
-        .map_err(in_file)?;
+    let settings = wiring::ExportSettings {
+        format,
+        degree: args.sh_degree,
+        origin,
+        up: args.up,
+        similarity,
+        limit: args.limit_gaussians,
+    };
+    let exported = wiring::export(&file, &settings, cameras.as_deref()).map_err(in_file)?;
     let source = Source {
         format: file.format,
         bytes: bytes.len(),
@@ -156,7 +187,7 @@ pub(crate) fn run(args: &Args) -> Result<Report, CliError> {
         decode_sha256: file.decode_sha256,
     };
     files::write(&args.output, &exported.bytes)?;
-    let gaussians = wiring::read(&exported.bytes)?.scene.gaussians();
+    let gaussians = exported.gaussians;
     let quality = match renderer {
         None => None,
         Some(renderer) => {
@@ -173,6 +204,7 @@ pub(crate) fn run(args: &Args) -> Result<Report, CliError> {
         sh_degree: exported.degree,
         source,
         baked: exported.baking,
+        limited: exported.limited,
         spz: exported.packing,
         place: exported.place,
         placement: (!placement.is_none()).then(|| {
@@ -185,14 +217,42 @@ pub(crate) fn run(args: &Args) -> Result<Report, CliError> {
     Ok(Report::new(text(&summary), &summary))
 }
 
+/// A number of Gaussians.
+fn at_least_one(text: &str) -> Result<usize, String> {
+    match text.parse() {
+        Ok(0) | Err(_) => Err("is not a whole number from 1".to_owned()),
+        Ok(count) => Ok(count),
+    }
+}
+
 /// The format that the name of an output asks for.
-fn format_of(output: &Path) -> Result<SceneFormat, CliError> {
+fn written_for(output: &Path) -> Result<Written, CliError> {
     let extension = output.extension().map(|extension| extension.to_string_lossy().to_ascii_lowercase());
     let format = FORMATS.into_iter().find(|format| extension.as_deref() == Some(format.extension()));
-    format.ok_or_else(|| {
+    let page = || (extension.as_deref() == Some(PAGE)).then_some(Written::Page);
+    format.map(Written::Scene).or_else(page).ok_or_else(|| {
         let output = output.display();
-        CliError::Usage(format!("--output: '{output}' does not end in .ply or .spz; name a --format"))
+        CliError::Usage(format!(
+            "--output: '{output}' does not end in .ply, .spz, .glb, .usda, .sog or .html; name a --format"
+        ))
     })
+}
+
+/// Writes the scene with its viewer, which shows the file as it is.
+fn page(args: &Args) -> Result<Report, CliError> {
+    let changes = [
+        ("up", args.up.is_some()),
+        ("scale", args.scale != 1.0),
+        ("limit-gaussians", args.limit_gaussians.is_some()),
+        ("world", args.world),
+    ];
+    if let Some((flag, _)) = changes.into_iter().find(|(_, is_given)| *is_given) {
+        return Err(CliError::Usage(format!(
+            "--{flag}: a page shows the scene as it is; choose another --format"
+        )));
+    }
+    let dataset = args.dataset.as_deref().map(|path| wiring::load_as(path, &LENIENT)).transpose()?;
+    export_page::run(&args.file, &args.output, dataset.as_ref())
 }
 
 /// The problem of an adapter without which there would be no measurement.
@@ -214,7 +274,7 @@ fn held_out(dataset: &Dataset, background: Background) -> Result<Vec<(String, Ca
 }
 
 fn text(summary: &Summary) -> String {
-    let Summary { source, baked, spz, place, placement, quality, .. } = summary;
+    let Summary { source, baked, limited, spz, place, placement, quality, .. } = summary;
     let mut lines = vec![format!(
         "source    .{}, {} bytes; {} anchors, {} Gaussians",
         source.format.extension(),
@@ -226,6 +286,12 @@ fn text(summary: &Summary) -> String {
         lines.push(format!(
             "baked     from {} views ({}) in {:.2} s; {} offsets invisible in all of them left out",
             baked.views, baked.from, baked.seconds, baked.unseen
+        ));
+    }
+    if let Some(limited) = limited {
+        lines.push(format!(
+            "limited   to {} of {} Gaussians, those that {} views show most",
+            summary.gaussians, limited.of, limited.views
         ));
     }
     if let Some(spz) = spz {

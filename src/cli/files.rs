@@ -11,7 +11,8 @@ use tempfile::NamedTempFile;
 use super::CliError;
 
 /// Extensions of the files that commands write, and of datasets.
-const OUTPUTS: [&str; 9] = ["tcgs", "safetensors", "ply", "spz", "zip", "png", "jpg", "jpeg", "webp"];
+const OUTPUTS: [&str; 12] =
+    ["tcgs", "safetensors", "ply", "spz", "glb", "usda", "sog", "zip", "png", "jpg", "jpeg", "webp"];
 
 /// The bytes of an input file.
 pub(crate) fn read(path: &Path) -> Result<Vec<u8>, CliError> {

@@ -27,7 +27,7 @@ pub(crate) fn run(args: &Args) -> Result<Report, CliError> {
             let inspection = wiring::inspect(&bytes).map_err(in_file)?;
             Ok(Report { text: inspection.text, json: inspection.json })
         }
-        SceneFormat::Safetensors | SceneFormat::Ply | SceneFormat::Spz | SceneFormat::Spz3 => {
+        _ => {
             let file = wiring::read(&bytes).map_err(in_file)?;
             Ok(Report::new(text(&file), &account(&file)))
         }

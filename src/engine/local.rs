@@ -6,13 +6,12 @@ use super::{SceneEngine, SceneSource};
 use crate::{
     domain::{
         Camera, DatasetSummary, Digest, ExportedScene, JobNeeds, NamedCamera, Problem, ReadOptions,
-        SceneFormat, Similarity, Split, TrainOptions,
+        SceneFormat, Split, TrainOptions,
     },
-    export::world::Origin,
     ingest::DatasetChecker,
     pipeline::{
         Machine,
-        exported::{export as export_scene, fidelity},
+        exported::{ExportSettings, export as export_scene, fidelity},
         job_needs, scene_file,
         scene_views::SceneViews,
     },
@@ -68,9 +67,6 @@ impl SceneEngine for LocalEngine {
     }
 }
 
-/// Highest degree of the spherical harmonics of scenes that are exported on demand.
-const EXPORT_DEGREE: u8 = 3;
-
 /// A finished scene in another format, fitted to its renders from the training cameras, or from a sphere if there are none.
 fn export(
     views: &Arc<dyn RenderViews>,
@@ -82,7 +78,7 @@ fn export(
     let file = scene_file::read(&read()?)?;
     let trained = of_split(cameras, Split::Train);
     let from = (!trained.is_empty()).then_some(&*trained);
-    let exported = export_scene(&file, format, EXPORT_DEGREE, from, Origin::Nearby, &Similarity::NONE)?;
+    let exported = export_scene(&file, &ExportSettings::whole(format), from)?;
     let gaussians = u64::try_from(exported.gaussians).unwrap_or(u64::MAX);
     let held_out = of_split(cameras, Split::Test);
     let cameras = if held_out.is_empty() { trained } else { held_out };

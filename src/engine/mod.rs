@@ -8,10 +8,11 @@ use std::{path::Path, sync::Arc};
 use bytes::Bytes;
 pub use local::LocalEngine;
 
+pub use crate::pipeline::exported::PlacedExport;
 use crate::{
     domain::{
-        DatasetSummary, Digest, ExportedScene, JobNeeds, NamedCamera, Problem, ReadOptions, SceneFormat,
-        Similarity, TrainOptions,
+        Camera, DatasetSummary, Digest, ExportedScene, JobNeeds, NamedCamera, Problem, ReadOptions,
+        SceneFormat, TrainOptions,
     },
     pipeline::{exported::place, job_needs, scene_file},
     render::{RenderViews, views::Viewable},
@@ -65,12 +66,13 @@ pub trait SceneEngine: Send + Sync {
         cameras: &[NamedCamera],
     ) -> Result<ExportedScene, Problem>;
 
-    /// An exported `.ply`, turned and scaled, in any of the formats that scenes are exported to.
+    /// An exported `.ply`, turned, scaled and limited in number, in any of the formats that scenes are exported to. `cameras` decide
+    /// which Gaussians are kept.
     ///
     /// # Errors
     /// 422 for a scene that the format cannot hold.
-    fn place(&self, ply: &[u8], format: SceneFormat, similarity: &Similarity) -> Result<Vec<u8>, Problem> {
-        place(ply, format, similarity)
+    fn place(&self, ply: &[u8], export: &PlacedExport, cameras: &[Camera]) -> Result<Vec<u8>, Problem> {
+        place(ply, export, cameras)
     }
 
     /// How many viewer processes are alive; `None` if this process renders by itself.

@@ -1,6 +1,7 @@
 //! Exports through the binary: what is written, what is said of it, and that another program reads the same.
 
 use std::{
+    collections::BTreeMap,
     ffi::OsStr,
     io::Read as _,
     path::{Path, PathBuf},
@@ -11,7 +12,7 @@ use rand::SeedableRng;
 use serde_json::{Value, json};
 use tcgs::{
     domain::{AnchorScene, Background, GaussianScene, Lattice, NearPlane, SceneFrame},
-    export::{PlyNote, SpzVersion, anchors, from_ply, from_spz, to_ply, to_spz},
+    export::{PlyNote, SpzVersion, anchors, from_ply, from_spz, to_glb, to_ply, to_sog, to_spz, to_usda},
     model::{AnchorRows, ModelShape, NetworkLayout},
     sample::{self, Settings},
 };
@@ -65,24 +66,28 @@ fn anchors_are_baked_and_the_loss_is_said_with_and_without_a_dataset() {
     let folder = tempfile::tempdir().expect("a folder");
     let (file, dataset) = (scene_file(folder.path()), folder.path().join("photographs"));
     sample::write(&dataset, &Settings { side: 32, points: 300, seed: 1 }).expect("writes");
-    for format in ["ply", "spz", "spz3"] {
+    for format in ["ply", "spz", "spz3", "glb", "usda", "sog"] {
         let out = folder.path().join(format!("out.{format}"));
         let said = answers(line!["export", file, "--format", format, "-o", out, "--json"]);
         assert_eq!((&said["format"], &said["source"]["format"]), (&format.into(), &"safetensors".into()));
         assert_eq!(said["bytes"], std::fs::metadata(&out).expect("a file").len());
         assert_eq!((&said["sh_degree"], &said["baked"]["from"]), (&3.into(), &"sphere".into()));
         let version = match format {
-            "ply" => Value::Null,
             "spz" => 4.into(),
-            _ => 3.into(),
+            "spz3" => 3.into(),
+            _ => Value::Null,
         };
         assert_eq!(said["spz"]["version"], version);
         let quality = &said["quality"];
         assert_eq!((&quality["from"], &quality["psnr_lost"]), (&"sphere".into(), &Value::Null));
         // Networks that nobody trained turn mildly with the view; a wrong frame or order of coefficients costs more.
         assert!(number(&quality["psnr_to_source"]) > 27.0, "{quality}");
-        let account = answers(line!["inspect", out, "--json"]);
-        assert_eq!((&account["format"], &account["gaussians"]), (&format.into(), &said["gaussians"]));
+        if matches!(format, "ply" | "spz" | "spz3") {
+            let account = answers(line!["inspect", out, "--json"]);
+            assert_eq!((&account["format"], &account["gaussians"]), (&format.into(), &said["gaussians"]));
+        } else {
+            assert_eq!(tcgs(line!["inspect", out]).status.code(), Some(3), "it is written, not read");
+        }
 
         let said =
             answers(line!["export", file, "--format", format, "-o", out, "--json", "--dataset", dataset]);
@@ -220,6 +225,104 @@ fn an_export_is_turned_and_scaled_and_looks_the_same_from_there() {
         arguments.extend(flags.iter().map(OsStr::new));
         assert_eq!(tcgs(arguments).status.code(), Some(2), "{flags:?}");
     }
+}
+
+/// The arrays of a `.glb` by their names, as 32-bit floats.
+fn glb_arrays(bytes: &[u8]) -> BTreeMap<String, Vec<f32>> {
+    let word = |at: usize| u32::from_le_bytes(bytes[at..at + 4].try_into().expect("four bytes")) as usize;
+    assert_eq!((&bytes[..4], word(4), word(8)), (&b"glTF"[..], 2, bytes.len()));
+    let text = word(12);
+    let document: Value = serde_json::from_slice(&bytes[20..20 + text]).expect("JSON");
+    let binary = &bytes[28 + text..];
+    assert_eq!(binary.len(), word(20 + text));
+    let attributes = document["meshes"][0]["primitives"][0]["attributes"].as_object().expect("attributes");
+    let floats = attributes.iter().filter(|(name, _)| *name != "COLOR_0").map(|(name, accessor)| {
+        let accessor = &document["accessors"][accessor.as_u64().expect("an index") as usize];
+        let view = &document["bufferViews"][accessor["bufferView"].as_u64().expect("an index") as usize];
+        let [start, length] = ["byteOffset", "byteLength"].map(|name| view[name].as_u64().expect("a number"));
+        let bytes = &binary[start as usize..(start + length) as usize];
+        let values = bytes.as_chunks().0.iter().map(|bytes| f32::from_le_bytes(*bytes)).collect();
+        (name.clone(), values)
+    });
+    floats.collect()
+}
+
+#[test]
+fn a_glb_and_a_usda_hold_the_floats_of_the_ply() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let scene = from_ply(&bytes_of(interop("gaussians.ply"))).expect("a scene");
+    let arrays = glb_arrays(&to_glb(&scene).expect("writes"));
+    let of = |name: &str| &arrays[&format!("KHR_gaussian_splatting:{name}")];
+    assert_eq!(arrays["POSITION"], scene.means.as_flattened());
+    for (function, name) in ["0_COEF_0", "1_COEF_0", "1_COEF_1", "1_COEF_2", "2_COEF_0"].iter().enumerate() {
+        let coefficients: Vec<f32> = scene.sh.iter().flat_map(|row| row[function]).collect();
+        assert_eq!(of(&format!("SH_DEGREE_{name}")), &coefficients);
+    }
+    assert_eq!(arrays.len(), 4 + 16);
+    for (index, opacity) in of("OPACITY").iter().enumerate() {
+        let logit = f64::from(scene.opacity_logits[index]);
+        assert!((f64::from(*opacity) - 1.0 / (1.0 + (-logit).exp())).abs() < 1e-7);
+        for axis in 0..3 {
+            let size = f64::from(scene.log_scales[index][axis]).exp();
+            assert!((f64::from(of("SCALE")[3 * index + axis]) / size - 1.0).abs() < 1e-6);
+        }
+        let [w, x, y, z] = scene.quats[index];
+        let length = (w * w + x * x + y * y + z * z).sqrt();
+        for (part, value) in [x, y, z, w].into_iter().enumerate() {
+            assert!((of("ROTATION")[4 * index + part] - value / length).abs() < 1e-6);
+        }
+    }
+    let text = to_usda(&scene, None).expect("writes");
+    assert!(text.starts_with("#usda 1.0\n") && text.contains("upAxis = \"Y\""), "{}", &text[..200]);
+    let line = text.lines().find_map(|line| line.trim().strip_prefix("point3f[] positions = [("));
+    let numbers = line.expect("positions").trim_end_matches(")]").replace("), (", ", ");
+    let read: Vec<f32> = numbers.split(", ").map(|number| number.parse().expect("a float")).collect();
+    assert_eq!(read, scene.means.as_flattened(), "every digit that a float has");
+    let Some(python) = usd_python() else { return };
+    let file = folder.path().join("scene.usda");
+    std::fs::write(&file, text).expect("writes");
+    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("scripts/read_usda.py");
+    let output = Command::new(python).arg(script).arg(&file).output().expect("python runs");
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let read: Value = serde_json::from_slice(&output.stdout).expect("JSON");
+    let floats = |name: &str| -> Vec<f32> {
+        read[name].as_array().expect("numbers").iter().map(|value| number(value) as f32).collect()
+    };
+    assert_eq!((&read["degree"], &read["up"], &read["meters"]), (&json!(3), &json!("Y"), &json!(1.0)));
+    assert_eq!(floats("positions"), scene.means.as_flattened());
+    assert_eq!(floats("scales"), *of("SCALE"));
+    assert_eq!(floats("opacities"), *of("OPACITY"));
+    assert_eq!(floats("coefficients"), scene.sh.as_flattened().as_flattened());
+    assert_eq!(floats("orientations"), *of("ROTATION"), "as x, y, z, w");
+}
+
+/// A Python with `usd-core`, which `make interop` installs.
+fn usd_python() -> Option<PathBuf> {
+    let named = std::env::var_os("TCGS_USD_PYTHON").filter(|path| !path.is_empty()).map(PathBuf::from);
+    if named.is_none() {
+        skip("a Python with usd-core is not named; `make interop` installs it and runs this test");
+    }
+    named
+}
+
+#[test]
+fn the_gaussians_that_are_shown_most_are_kept() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let file = scene_file(folder.path());
+    let out = folder.path().join("few.ply");
+    let whole = answers(line!["export", file, "-o", out, "--json", "--unmeasured"]);
+    assert_eq!(whole["limited"], Value::Null);
+    let mut psnr = Vec::new();
+    for limit in ["100", "200"] {
+        let said = answers(line!["export", file, "-o", out, "--json", "--limit-gaussians", limit]);
+        assert_eq!(said["gaussians"], limit.parse::<u32>().expect("a number"));
+        assert_eq!(said["limited"], json!({ "of": whole["gaussians"], "views": 96 }));
+        assert_eq!(from_ply(&bytes_of(&out)).expect("a scene").len().to_string(), limit);
+        psnr.push(number(&said["quality"]["psnr_to_source"]));
+    }
+    assert!(psnr[0] < psnr[1], "{psnr:?}");
+    let refused = tcgs(line!["export", file, "-o", out, "--limit-gaussians", "0"]);
+    assert_eq!(refused.status.code(), Some(2));
 }
 
 /// A `.spz` does not say from where on a scene is seen.
@@ -379,6 +482,61 @@ fn splat_transform_reads_and_writes_the_same_scenes() {
         convert(&at("ours_ply.ply"), &packed, &["--spz-version", version]);
         convert(&packed, &back, &[]);
         agree(&from_spz(&bytes_of(packed)).expect("a scene"), &from_ply(&bytes_of(back)).expect("a scene"));
+    }
+}
+
+#[test]
+fn a_sog_is_a_zip_of_lossless_pictures_in_which_the_scene_is_found_again() {
+    let scene = from_ply(&bytes_of(interop("gaussians.ply"))).expect("a scene");
+    let written = to_sog(&scene).expect("writes");
+    assert_eq!(written.bytes, to_sog(&scene).expect("writes").bytes, "the bytes vary");
+    let mut zip = zip::ZipArchive::new(std::io::Cursor::new(written.bytes)).expect("a zip");
+    let mut file = |name: &str| {
+        let mut bytes = Vec::new();
+        zip.by_name(name).expect("a file").read_to_end(&mut bytes).expect("its bytes");
+        bytes
+    };
+    let meta: Value = serde_json::from_slice(&file("meta.json")).expect("JSON");
+    assert_eq!((&meta["version"], &meta["count"]), (&json!(2), &json!(written.scene.len())));
+    let mut picture = |name: &str| image::load_from_memory(&file(name)).expect("a picture").to_rgba8();
+    let (low, high, scales) = (picture("means_l.webp"), picture("means_u.webp"), picture("scales.webp"));
+    let bounds = |name: &str, axis: usize| number(&meta["means"][name][axis]);
+    for (pixel, mean) in written.scene.means.iter().enumerate() {
+        let at =
+            |picture: &image::RgbaImage, channel: usize| f64::from(picture.as_raw()[4 * pixel + channel]);
+        for axis in 0..3 {
+            let share = (at(&low, axis) + 256.0 * at(&high, axis)) / 65535.0;
+            let (min, max) = (bounds("mins", axis), bounds("maxs", axis));
+            let logarithm = min + (max - min) * share;
+            let value = logarithm.signum() * (logarithm.abs().exp() - 1.0);
+            assert!((value - f64::from(mean[axis])).abs() < 1e-6, "{value} and {mean:?}");
+            let scale = number(&meta["scales"]["codebook"][at(&scales, axis) as usize]);
+            assert!((scale - f64::from(written.scene.log_scales[pixel][axis])).abs() < 1e-6);
+        }
+        let nearest = scene
+            .means
+            .iter()
+            .map(|other| (0..3).map(|axis| (other[axis] - mean[axis]).abs()).fold(0.0_f32, f32::max));
+        assert!(nearest.fold(f32::MAX, f32::min) < 1e-3, "{mean:?} is no mean of the scene");
+    }
+}
+
+/// `.sog` holds what `compare` measures: the Gaussians that another program reads.
+#[test]
+fn splat_transform_reads_the_sog_that_is_written() {
+    let Some(program) = splat_transform() else { return };
+    let folder = tempfile::tempdir().expect("a folder");
+    let (ours, theirs) = (folder.path().join("ours.sog"), folder.path().join("theirs.ply"));
+    let file = scene_file(folder.path());
+    for degree in ["0", "1", "3"] {
+        let ply = folder.path().join("whole.ply");
+        let arguments = line!["export", file, "-o", ply, "--unmeasured", "--sh-degree", degree];
+        succeeds(arguments);
+        let written = to_sog(&from_ply(&bytes_of(&ply)).expect("a scene")).expect("writes");
+        std::fs::write(&ours, &written.bytes).expect("writes");
+        let status = Command::new(&program).args(["--quiet", "-w"]).arg(&ours).arg(&theirs).status();
+        assert!(status.expect("splat-transform runs").success());
+        agree(&written.scene, &from_ply(&bytes_of(&theirs)).expect("a scene"));
     }
 }
 

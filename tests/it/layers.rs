@@ -89,7 +89,7 @@ const EXTERNAL: &[(&str, &[&str])] = &[
     ("object_store", &["store"]),
     ("wgpu", &["gpu"]),
     ("naga_oil", &["gpu"]),
-    ("zip", &["ingest", "sample"]),
+    ("zip", &["export", "ingest", "sample"]),
     ("unicode_normalization", &["ingest"]),
     ("kiddo", &["init"]),
     ("jpeg_encoder", &["picture"]),

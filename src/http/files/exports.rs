@@ -20,7 +20,7 @@ use crate::{
         Camera, Digest, ExportFidelity, ExportedScene, JobId, NamedCamera, Placement, PlacementError,
         SceneFormat, SceneFrame, Similarity, Split, UpAxis,
     },
-    engine::SceneSource,
+    engine::{PlacedExport, SceneSource},
     http::{
         auth::cross_site::{FollowedLink, refuse_followed_link},
         datasets::received::withdraw_blob,
@@ -34,7 +34,7 @@ use crate::{
 };
 
 /// The formats that scenes are exported to.
-const FORMATS: [SceneFormat; 3] = [SceneFormat::Ply, SceneFormat::Spz, SceneFormat::Spz3];
+const FORMATS: [SceneFormat; 6] = SceneFormat::EXPORTS;
 
 /// Header: mean PSNR in dB of renders of the export against renders of the scene.
 const EXPORT_PSNR: HeaderName = HeaderName::from_static("x-export-psnr");
@@ -54,11 +54,12 @@ pub(crate) async fn get(
     let format = take_format(&mut parameters)?;
     let lambda = take_lambda(&mut parameters)?;
     let placement = take_placement(&mut parameters)?;
+    let limit = take_limit(&mut parameters)?;
     parameters.finish()?;
     let source = file_of(&record, lambda)?;
-    if !placement.is_none() {
+    if !placement.is_none() || limit.is_some() {
         refuse_followed_link(link.as_deref())?;
-        let (placed, similarity) = place(&state, &record, source, format, placement).await?;
+        let (placed, similarity) = place(&state, &record, source, format, (placement, limit)).await?;
         let mut response = serve_made(&method, &request, placed)?;
         if response.status().is_success()
             && let Some(offset) = offset_of(&record, &similarity)
@@ -106,17 +107,17 @@ async fn kept(
     Ok((export.blob, export.fidelity))
 }
 
-/// The scene turned and scaled: made of its `.ply`, which is kept, for this answer alone.
+/// The scene turned, scaled and limited in number: made of its `.ply`, which is kept, for this answer alone.
 async fn place(
     state: &AppState,
     record: &JobRecord,
     source: SceneArtifact,
     format: SceneFormat,
-    placement: Placement,
+    (placement, limit): (Placement, Option<usize>),
 ) -> ApiResult<(MadeFile<ExportTurn>, Similarity)> {
-    let cameras: Vec<Camera> = match placement.up {
-        None => Vec::new(),
-        Some(_) => {
+    let cameras: Vec<Camera> = match placement.up.is_none() && limit.is_none() {
+        true => Vec::new(),
+        false => {
             let all = cameras_of(state, record).await?.into_iter();
             all.filter(|camera| camera.split == Split::Train).map(|camera| camera.camera).collect()
         }
@@ -128,7 +129,8 @@ async fn place(
     let (services, runtime) = (state.services.clone(), Handle::current());
     let placed = spawn_blocking(move || {
         let ply = services.read(&runtime, ply.digest)?;
-        services.engine.place(&ply, format, &similarity)
+        let made = PlacedExport { format, up: placement.up, similarity, limit };
+        services.engine.place(&ply, &made, &cameras)
     });
     let placed = placed.await;
     let bytes = placed??.into();
@@ -158,6 +160,15 @@ fn offset_of(record: &JobRecord, similarity: &Similarity) -> Option<HeaderValue>
     let frame = record.job.metrics.as_ref()?.frame.filter(SceneFrame::is_far_out)?;
     let DVec3 { x, y, z } = similarity.point(frame.offset());
     HeaderValue::try_from(format!("{x} {y} {z}")).ok()
+}
+
+/// How many Gaussians the file may have at most.
+fn take_limit(parameters: &mut Parameters) -> ApiResult<Option<usize>> {
+    let limit = parameters.take_as("limit_gaussians", "a number of Gaussians")?;
+    match limit {
+        Some(0) => Err(ProblemResponse::parameter("limit_gaussians", "must be 1 or more")),
+        limit => Ok(limit),
+    }
 }
 
 fn take_format(parameters: &mut Parameters) -> ApiResult<SceneFormat> {

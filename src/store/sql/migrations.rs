@@ -43,6 +43,7 @@ pub static SQLITE: LazyLock<Migrator> = migrations! {
         "0022_thumbnails",
         "0023_sessions",
         "0024_shares",
+        "0025_export_formats",
 };
 
 /// Migrations of PostgreSQL databases.
@@ -56,6 +57,7 @@ pub static POSTGRES: LazyLock<Migrator> = migrations! {
         "0006_thumbnails",
         "0007_sessions",
         "0008_shares",
+        "0009_export_formats",
 };
 
 /// A migrator that records each file under its version and description.

@@ -124,7 +124,7 @@ fn wrong_usage_is_status_2_and_says_what_is_wrong() {
         (&["view", JOB, "--position", "1,2,3", "-o", "o.png"], "--look-at"),
         (&["view", JOB, "--frame", "a", "-o", "o.gif"], ".png"),
         (&["export", "f", "-o", "o"], "--format"),
-        (&["export", "f", "-o", "o", "--format", "obj"], "ply, spz, spz3"),
+        (&["export", "f", "-o", "o", "--format", "obj"], "ply, spz, spz3, glb, usda, sog"),
         (&["export", "f", "-o", "o", "--format", "spz", "--sh-degree", "4"], "--sh-degree"),
     ];
     for (arguments, word) in cases {

@@ -113,12 +113,15 @@ pub(super) async fn a_scene_is_exported_once_and_kept(coverage: Coverage) {
         assert!(packed.header("content-disposition").contains(".lambda-0.004.spz\""), "{:?}", packed.headers);
     }
 
+    let glb = server.get(&format!("{job}/export?format=glb")).await.expect(200);
+    assert_eq!((&glb.body[..8], glb.header("content-type")), (&b"glb from"[..], "model/gltf-binary"));
+
     let kept = listed(&server, &job).await;
     let exports: Vec<&Value> = kept.iter().filter(|file| file["origin"] == "export").collect();
     let kinds: Vec<&Value> = exports.iter().map(|file| &file["kind"]).collect();
-    assert_eq!(kinds, ["ply", "spz", "spz3"]);
+    assert_eq!(kinds, ["ply", "spz", "spz3", "glb"]);
     let fidelity: Vec<&Value> = exports.iter().map(|file| &file["fidelity"]).collect();
-    assert_eq!(fidelity, [&json!({ "psnr": 41.256, "views": 2 }), &Value::Null, &Value::Null]);
+    assert_eq!(fidelity, [&json!({ "psnr": 41.256, "views": 2 }), &Value::Null, &Value::Null, &Value::Null]);
     for file in &exports {
         assert_eq!((&file["gaussians"], &file["sh_degree"]), (&json!(5), &json!(3)));
         assert_eq!(file["lambda"], 0.004);
@@ -139,9 +142,29 @@ pub(super) async fn a_scene_is_exported_once_and_kept(coverage: Coverage) {
     assert_eq!((head.body.len(), head.header("repr-digest")), (0, turned.header("repr-digest")));
     let tag = turned.header("etag").to_owned();
     server.send("GET", &path, |request| request.header("if-none-match", tag)).await.expect(304);
-    for (query, named) in
-        [("up=w", "up: "), ("scale=0", "scale: "), ("scale=x", "scale: "), ("scale=1e7", "scale: ")]
+    for (format, media_type) in
+        [("glb", "model/gltf-binary"), ("usda", "model/vnd.usda"), ("sog", "application/octet-stream")]
     {
+        let path = format!("{job}/export?format={format}&limit_gaussians=7");
+        let limited = server.get(&path).await.expect(200);
+        assert!(
+            limited.header("content-disposition").contains(&format!(".{format}\"")),
+            "{:?}",
+            limited.headers
+        );
+        assert_eq!(limited.header("content-type"), media_type);
+        let text = String::from_utf8_lossy(&first.body).into_owned();
+        let expected = format!("{format} turned by 0 times 1 7 by {cameras} cameras of {text}");
+        assert_eq!(String::from_utf8_lossy(&limited.body), expected);
+    }
+    for (query, named) in [
+        ("limit_gaussians=0", "limit_gaussians: "),
+        ("limit_gaussians=x", "limit_gaussians: "),
+        ("up=w", "up: "),
+        ("scale=0", "scale: "),
+        ("scale=x", "scale: "),
+        ("scale=1e7", "scale: "),
+    ] {
         let path = format!("{job}/export?format=spz&{query}");
         let detail = server.get(&path).await.expect_problem(422, "invalid-parameter");
         assert!(detail.starts_with(named), "{query}: {detail}");
@@ -154,7 +177,7 @@ pub(super) async fn a_scene_is_exported_once_and_kept(coverage: Coverage) {
     let same = server.get(&format!("{plain}/export?format=ply")).await.expect(200);
     assert_eq!(same.body, fakes::FILE, "it is written so already");
     assert!(!same.headers.contains_key("x-export-psnr"));
-    assert_eq!(server.exporter.made.load(Ordering::SeqCst), 3);
+    assert_eq!(server.exporter.made.load(Ordering::SeqCst), 4);
 
     server.send("DELETE", &job, |request| request).await.expect(204);
     server.get(exports[0]["href"].as_str().expect("a path")).await.expect(404);

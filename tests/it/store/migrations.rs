@@ -30,6 +30,7 @@ const POSTGRES_CHECKSUMS: &[(i64, &str)] = &[
     (6, "c5d7d9d32ecc2eca3481f271c88d43747028539c16e2b73de5a5d05cd3c001cf9a99a494cbfae681451951bb67f7ee50"),
     (7, "e89b1a5f4c47f398448e513e81ddd81cd4c2bf61c20eda83a2b3bd250404811528654d9db33b9eb8daf3ffde7448bdb8"),
     (8, "8dde77c4742588042cec1009e4ba46c19156c6481d7f08e607f6fedc11a9d2230ec29d7712da80054563a4458401721e"),
+    (9, "544fdaf513a02876d25b738883eac7e5fb148bc89af983d70e6b8a01d555d259ce29246f83b16335befbf19de5c35cde"),
 ];
 
 /// SHA-384 of every migration, by version. A new migration gets a line here, and a line never changes. There was no version 8.
@@ -57,6 +58,7 @@ const CHECKSUMS: &[(i64, &str)] = &[
     (22, "30f01823c0feb800aadd97ec72346c949c0cf4561200cf8280b84ef08deb74eba81140c5796d94d2cdaeef7a1cf51764"),
     (23, "41c8484129fed6be80a6e4a1402c103139179e92563484c90061784c57cb0ec9ed9a6a08410e058bee2c7cb50fbd9855"),
     (24, "747bafe67375530799012dd410052bcafb778addb435505fc434078c5333206c4a8ec38352ca20f5a30fe26cfd1c33b5"),
+    (25, "d2f704ef5a3678f88b806a8446b531a912a5ff93bfcf19de7ea4ec036f985836ff48d32d3c04f26384dd272ac51acb6b"),
 ];
 
 /// Versions whose databases are in `tests/schemas`. A schema is added once a program with it is released.

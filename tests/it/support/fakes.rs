@@ -18,10 +18,10 @@ use tcgs::{
         ExposureChoice, ExposureTrial, HeldOut, HeldOutView, Image, Intrinsics, JobId, JobMetrics, JobNeeds,
         Lattice, Layout, LpipsNetwork, MemoryNeeds, Mlp, NamedCamera, NearPlane, Phase, PhaseSeconds, Pose,
         Preview, Problem, ProblemType, Progress, ReadOptions, RenderNetworks, RenderingError, Scene,
-        SceneFormat, SceneFrame, SceneScale, Scores, Similarity, Split, TrainOptions, ValueRange, ViewScore,
+        SceneFormat, SceneFrame, SceneScale, Scores, Split, TrainOptions, ValueRange, ViewScore,
         WorkerCounts, Workers,
     },
-    engine::{SceneEngine, SceneSource},
+    engine::{PlacedExport, SceneEngine, SceneSource},
     pipeline::{CheckpointPlan, CurveFile, JobError, JobOutput, RunJob},
     render::{
         RenderViews,
@@ -440,11 +440,14 @@ impl SceneEngine for FakeEngine {
         Ok(ExportedScene { bytes: text.into_bytes(), gaussians: 5, sh_degree: 3, fidelity })
     }
 
-    fn place(&self, ply: &[u8], format: SceneFormat, similarity: &Similarity) -> Result<Vec<u8>, Problem> {
+    fn place(&self, ply: &[u8], export: &PlacedExport, cameras: &[Camera]) -> Result<Vec<u8>, Problem> {
+        let PlacedExport { format, similarity, limit, .. } = export;
         let (ply, turn) =
             (String::from_utf8_lossy(ply), similarity.rotation().to_axis_angle().1.to_degrees());
         let scale = similarity.scale();
-        Ok(format!("{} turned by {turn:.0} times {scale} of {ply}", format.name()).into_bytes())
+        let limited =
+            limit.map_or_else(String::new, |limit| format!(" {limit} by {} cameras", cameras.len()));
+        Ok(format!("{} turned by {turn:.0} times {scale}{limited} of {ply}", format.name()).into_bytes())
     }
 
     fn viewers(&self) -> Option<usize> {

@@ -4,14 +4,18 @@ use std::time::Instant;
 
 use crate::{
     domain::{
-        Background, Camera, ExportFidelity, GaussianScene, Image, NearPlane, Problem, ProblemType, Scene,
-        SceneFormat, SceneFrame, Similarity, evenly_spaced::evenly_spaced, harmonics,
+        Background, ByteCounts, Camera, Digest, ExportFidelity, GaussianScene, Image, NearPlane, Problem,
+        ProblemType, Scene, SceneFormat, SceneFrame, Similarity, UpAxis, evenly_spaced::evenly_spaced,
+        harmonics,
     },
     eval::{Target, mean_scores_with, psnr},
     export::{
+        SogFile,
         bake::{self, BakeSettings},
+        limited,
         placed::placed,
         spz::{Packed, SpzVersion, to_spz},
+        to_glb, to_sog, to_usda,
         world::{Origin, Rounding, in_world_units, rounding},
     },
 };
@@ -64,6 +68,54 @@ pub struct Packing {
     pub left_out: usize,
 }
 
+/// A scene with fewer Gaussians than it has.
+#[derive(Debug, Clone, Copy, Serialize)]
+pub struct Limited {
+    /// How many there were.
+    pub of: usize,
+    /// How many views say which of them are shown most.
+    pub views: usize,
+}
+
+/// How a file is to be written.
+#[derive(Debug, Clone, Copy)]
+pub struct ExportSettings {
+    /// One of [`SceneFormat::EXPORTS`].
+    pub format: SceneFormat,
+    /// Highest degree of the spherical harmonics.
+    pub degree: u8,
+    /// Where its coordinates begin.
+    pub origin: Origin,
+    /// The axis that points up, if the scene was turned.
+    pub up: Option<UpAxis>,
+    /// From the source's world to the file's.
+    pub similarity: Similarity,
+    /// Most Gaussians.
+    pub limit: Option<usize>,
+}
+
+impl ExportSettings {
+    /// The whole scene as it is.
+    #[must_use]
+    pub fn whole(format: SceneFormat) -> Self {
+        let (origin, similarity) = (Origin::Nearby, Similarity::NONE);
+        Self { format, degree: MAX_DEGREE, origin, up: None, similarity, limit: None }
+    }
+}
+
+/// How an exported `.ply` is to be written again.
+#[derive(Debug, Clone, Copy)]
+pub struct PlacedExport {
+    /// One of [`SceneFormat::EXPORTS`].
+    pub format: SceneFormat,
+    /// The axis that points up, if the scene is turned.
+    pub up: Option<UpAxis>,
+    /// From its coordinates to the new ones.
+    pub similarity: Similarity,
+    /// Most Gaussians.
+    pub limit: Option<usize>,
+}
+
 /// A file in another format.
 #[derive(Debug)]
 pub struct Exported {
@@ -77,6 +129,10 @@ pub struct Exported {
     pub baking: Option<Baking>,
     /// How Gaussians became integers.
     pub packing: Option<Packing>,
+    /// Which Gaussians were kept; `None` if all were.
+    pub limited: Option<Limited>,
+    /// The Gaussians as the file holds them, of a format that is not read.
+    held: Option<GaussianScene>,
     /// Where its coordinates are in the world, which not every format states.
     pub place: Place,
     /// Its near plane, likewise.
@@ -113,18 +169,17 @@ pub struct Quality {
     pub adapter: String,
 }
 
-/// The file of a scene as plain Gaussians, turned and scaled; anchors are baked from `cameras`, or from a sphere around them.
+/// The file of a scene as plain Gaussians, turned, scaled and limited in number; anchors are baked from `cameras`, or from a sphere
+/// around them.
 ///
 /// # Errors
 /// 422 for a scene that the format cannot hold.
 pub fn export(
     file: &SceneFile,
-    format: SceneFormat,
-    degree: u8,
+    settings: &ExportSettings,
     cameras: Option<&[Camera]>,
-    origin: Origin,
-    similarity: &Similarity,
 ) -> Result<Exported, Problem> {
+    let ExportSettings { format, degree, origin, up, similarity, limit } = *settings;
     let (source, baking) = match &file.scene {
         Scene::Gaussians(scene) => (lowered(scene.clone(), degree), None),
         Scene::Anchors(scene) => {
@@ -139,6 +194,17 @@ pub fn export(
             (baked.scene, Some(Baking { from, views: baked.views, unseen: baked.unseen, seconds }))
         }
     };
+    let (source, limited) = match limit.filter(|limit| *limit < source.len()) {
+        None => (source, None),
+        Some(limit) => {
+            let views = match cameras {
+                Some(cameras) => bake::thinned(cameras),
+                None => sphere(file, SPHERE_VIEWS)?,
+            };
+            let of = Limited { of: source.len(), views: views.len() };
+            (limited(&source, &views, limit), Some(of))
+        }
+    };
     // Plain Gaussians come from a `.ply`, whose coordinates are those of an export already.
     let is_export = matches!(file.scene, Scene::Gaussians(_));
     let is_far_out = if is_export { !source.frame.is_world() } else { source.frame.is_far_out() };
@@ -146,43 +212,77 @@ pub fn export(
         Origin::Nearby if is_export => source.clone(),
         origin => in_world_units(&source, origin),
     };
-    let scene = placed(&scene, similarity);
+    let scene = placed(&scene, &similarity);
     let place =
         Place { offset: scene.frame.offset().to_array(), rounding: is_far_out.then(|| rounding(&source)) };
     let degree = scene.degree;
-    let version = match format {
-        SceneFormat::Spz => Some(SpzVersion::V4),
-        SceneFormat::Spz3 => Some(SpzVersion::V3),
-        SceneFormat::Ply | SceneFormat::Tcgs | SceneFormat::Safetensors => None,
-    };
-    let (bytes, packing) = match version {
-        Some(version) => {
-            let Packed { bytes, fractional_bits, clamped, left_out, .. } =
-                to_spz(&scene, version).map_err(not_exportable)?;
-            (bytes, Some(Packing { version: version.number(), fractional_bits, clamped, left_out }))
-        }
-        None => (scene_file::write_gaussians(&scene, file.background, file.dataset), None),
-    };
-    let left_out = packing.as_ref().map_or(0, |packing: &Packing| packing.left_out);
+    let Written { bytes, packing, left_out, held } = written(&scene, file, format, up)?;
     Ok(Exported {
         bytes,
         gaussians: scene.means.len() - left_out,
         degree,
         baking,
         packing,
+        limited,
+        held,
         place,
         near: scene.near,
-        similarity: *similarity,
+        similarity,
     })
 }
 
-/// An exported `.ply`, turned and scaled, in any of the formats.
+/// A file's bytes.
+#[derive(Default)]
+struct Written {
+    bytes: Vec<u8>,
+    packing: Option<Packing>,
+    /// Gaussians that are too faint for the format.
+    left_out: usize,
+    /// The Gaussians as the file holds them, of a format that is not read.
+    held: Option<GaussianScene>,
+}
+
+/// The bytes of a scene in one of the formats.
+fn written(
+    scene: &GaussianScene,
+    file: &SceneFile,
+    format: SceneFormat,
+    up: Option<UpAxis>,
+) -> Result<Written, Problem> {
+    let packed = |version: SpzVersion| {
+        let Packed { bytes, fractional_bits, clamped, left_out, .. } =
+            to_spz(scene, version).map_err(not_exportable)?;
+        let packing = Packing { version: version.number(), fractional_bits, clamped, left_out };
+        Ok(Written { bytes, packing: Some(packing), left_out, ..Written::default() })
+    };
+    // Floats are those of the scene.
+    let exact = |bytes: Vec<u8>| Written { bytes, held: Some(scene.clone()), ..Written::default() };
+    match format {
+        SceneFormat::Spz => packed(SpzVersion::V4),
+        SceneFormat::Spz3 => packed(SpzVersion::V3),
+        SceneFormat::Glb => Ok(exact(to_glb(scene).map_err(not_exportable)?)),
+        SceneFormat::Usda => Ok(exact(to_usda(scene, up).map_err(not_exportable)?.into_bytes())),
+        SceneFormat::Sog => {
+            let SogFile { bytes, scene, left_out } = to_sog(scene).map_err(not_exportable)?;
+            Ok(Written { bytes, left_out, held: Some(scene), ..Written::default() })
+        }
+        SceneFormat::Ply | SceneFormat::Tcgs | SceneFormat::Safetensors => {
+            let bytes = scene_file::write_gaussians(scene, file.background, file.dataset);
+            Ok(Written { bytes, ..Written::default() })
+        }
+    }
+}
+
+/// An exported `.ply`, turned, scaled and limited in number, in any of the formats. `cameras`, or a sphere if there are none, decide
+/// which Gaussians are kept.
 ///
 /// # Errors
 /// 422 for a scene that the format cannot hold.
-pub fn place(ply: &[u8], format: SceneFormat, similarity: &Similarity) -> Result<Vec<u8>, Problem> {
+pub fn place(ply: &[u8], placed: &PlacedExport, cameras: &[Camera]) -> Result<Vec<u8>, Problem> {
     let file = scene_file::read(ply)?;
-    Ok(export(&file, format, MAX_DEGREE, None, Origin::Nearby, similarity)?.bytes)
+    let PlacedExport { format, up, similarity, limit } = *placed;
+    let settings = ExportSettings { up, similarity, limit, ..ExportSettings::whole(format) };
+    Ok(export(&file, &settings, (!cameras.is_empty()).then_some(cameras))?.bytes)
 }
 
 /// Renders `source` and `exported`, as read back from its bytes, from the same cameras: those of `photographs`, which must be over
@@ -257,7 +357,17 @@ fn exported_beside(
     exported: &Exported,
     background: Background,
 ) -> Result<SceneViews, Problem> {
-    let mut file = scene_file::read(&exported.bytes)?;
+    let mut file = match &exported.held {
+        None => scene_file::read(&exported.bytes)?,
+        Some(scene) => SceneFile {
+            format: SceneFormat::Ply,
+            scene: Scene::Gaussians(scene.clone()),
+            background,
+            decode_sha256: Digest::of(&exported.bytes),
+            dataset: None,
+            byte_counts: ByteCounts::default(),
+        },
+    };
     file.background = background;
     if let Scene::Gaussians(scene) = &mut file.scene {
         scene.near = exported.near;
@@ -366,12 +476,11 @@ mod tests {
         let scene = in_world_units(&scene, Origin::Nearby);
         let ply = scene_file::write_gaussians(&scene, Background::Black, None);
         let file = scene_file::read(&ply).expect("reads");
-        let again =
-            export(&file, SceneFormat::Ply, 3, None, Origin::Nearby, &Similarity::NONE).expect("exports");
+        let again = export(&file, &ExportSettings::whole(SceneFormat::Ply), None).expect("exports");
         assert_eq!(again.bytes, ply);
         assert_eq!(again.place.offset, [10.0, 0.0, 0.0]);
-        let world =
-            export(&file, SceneFormat::Ply, 3, None, Origin::World, &Similarity::NONE).expect("exports");
+        let settings = ExportSettings { origin: Origin::World, ..ExportSettings::whole(SceneFormat::Ply) };
+        let world = export(&file, &settings, None).expect("exports");
         assert_eq!(world.place.offset, [0.0; 3]);
         assert!(world.place.rounding.expect("is known").mean_shift > 0.0);
     }

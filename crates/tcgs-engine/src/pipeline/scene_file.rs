@@ -38,6 +38,10 @@ pub fn read(bytes: &[u8]) -> Result<SceneFile, Problem> {
         SceneFormat::Safetensors => read_anchors(bytes),
         SceneFormat::Ply => read_gaussians(bytes),
         format @ (SceneFormat::Spz | SceneFormat::Spz3) => read_packed_gaussians(bytes, format),
+        format @ (SceneFormat::Glb | SceneFormat::Usda | SceneFormat::Sog) => Err(undecodable(format!(
+            "a .{} is written and not read; take the file that it was exported from",
+            format.extension()
+        ))),
     }
 }
 

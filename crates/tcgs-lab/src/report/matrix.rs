@@ -140,8 +140,8 @@ checks! {
     Model: Variant = |value| named(value, "a model");
     PresetName: Preset = |value| named(value, "a preset");
     ExportFormat: SceneFormat = |value| match named(value, "a format")? {
-        format @ (SceneFormat::Ply | SceneFormat::Spz | SceneFormat::Spz3) => Ok(format),
-        _ => Err(format!("{value} is not a format of plain Gaussians: ply, spz or spz3")),
+        format if SceneFormat::EXPORTS.contains(&format) => Ok(format),
+        _ => Err(format!("{value} is not a format of plain Gaussians: ply, spz, spz3, glb, usda or sog")),
     };
     Steps: u32 = |value| integer(value, "steps", 1, i64::from(tcgs_codec::domain::options::MAX_ITERATIONS));
     Side: u32 = |value| integer(value, "pixels", 8, 4096);

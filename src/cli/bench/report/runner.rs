@@ -7,11 +7,8 @@ use std::{
 };
 
 use tcgs::{
-    domain::{
-        Dataset, Digest, ModelKind, Phase, Problem, Progress, SceneFormat, Similarity, Split, TrainOptions,
-    },
+    domain::{Dataset, Digest, ModelKind, Phase, Problem, Progress, SceneFormat, Split, TrainOptions},
     eval::Target,
-    export::world::Origin,
     gpu::AdapterChoice,
     pipeline::{CheckpointPlan, JobError, JobOutput, Pipeline, ReferenceViews, RunJob as _},
     train::Schedule,
@@ -263,8 +260,7 @@ fn export(
     format: SceneFormat,
 ) -> Result<ExportRecord, CliError> {
     let cameras: Vec<_> = dataset.split(Split::Train).map(|frame| frame.camera).collect();
-    let exported =
-        wiring::export(file, format, MAX_DEGREE, Some(&cameras), Origin::Nearby, &Similarity::NONE)?;
+    let exported = wiring::export(file, &wiring::ExportSettings::whole(format), Some(&cameras))?;
     let background = file.background;
     let mut photographs = Vec::new();
     for frame in dataset.split(Split::Test) {
@@ -285,9 +281,6 @@ fn export(
 fn as_kept(options: &TrainOptions) -> Option<TrainOptions> {
     serde_json::from_slice(&serde_json::to_vec(options).ok()?).ok()
 }
-
-/// Degree of the spherical harmonics of exports.
-const MAX_DEGREE: u8 = 3;
 
 /// Where the report stands: steps of all runs that are still to be made.
 #[derive(Debug)]

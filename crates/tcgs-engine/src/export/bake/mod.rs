@@ -25,9 +25,9 @@ use thiserror::Error;
 pub use fit::{Coefficients, NormalEquations};
 pub use views::{sphere, thinned};
 
-use self::{
-    networks::{Evaluated, ViewInputs},
-    occlusion::Disc,
+use self::networks::{Evaluated, ViewInputs};
+pub(super) use self::{
+    occlusion::{Disc, shares},
     views::BakeView,
 };
 use crate::domain::{

@@ -22,14 +22,19 @@ const FAR: f64 = 1e6;
 
 /// A Gaussian as a disc.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Disc {
-    pub(super) mean: DVec3,
+pub(in crate::export) struct Disc {
+    pub(in crate::export) mean: DVec3,
     /// Standard deviation in world units.
-    pub(super) sigma: f64,
+    pub(in crate::export) sigma: f64,
 }
 
 /// Shares of light, 0 to 1, in which `bake_view` shows the discs of the given opacities; zero behind the near plane.
-pub(super) fn shares(bake_view: &BakeView, discs: &[Disc], opacities: &[f32], near: f64) -> Vec<f32> {
+pub(in crate::export) fn shares(
+    bake_view: &BakeView,
+    discs: &[Disc],
+    opacities: &[f32],
+    near: f64,
+) -> Vec<f32> {
     let (width, height) = bake_view.size();
     let cell = (width.max(height) / CELLS).max(1.0);
     let (columns, rows) = ((width / cell).ceil().max(1.0) as i64, (height / cell).ceil().max(1.0) as i64);

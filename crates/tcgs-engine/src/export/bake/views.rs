@@ -59,19 +59,19 @@ fn quantile(mut values: Vec<f64>, share: f64) -> f64 {
 
 /// A camera as the question needs it whether it sees a ball.
 #[derive(Debug, Clone)]
-pub(super) struct BakeView {
+pub(in crate::export) struct BakeView {
     camera: Camera,
     /// Where it is.
-    pub(super) center: DVec3,
+    pub(in crate::export) center: DVec3,
 }
 
 impl BakeView {
-    pub(super) fn of(camera: &Camera) -> Self {
+    pub(in crate::export) fn of(camera: &Camera) -> Self {
         Self { camera: *camera, center: camera.pose.center() }
     }
 
     /// Whether a ball around a point beyond the near plane may reach the image.
-    pub(super) fn sees(&self, point: DVec3, radius: f64, near: f64) -> bool {
+    pub(in crate::export) fn sees(&self, point: DVec3, radius: f64, near: f64) -> bool {
         let Some((x, y, _, scale)) = self.project(point, near) else { return false };
         let (width, height) = self.size();
         let reach = scale * radius;
@@ -79,7 +79,7 @@ impl BakeView {
     }
 
     /// Pixel coordinates, depth, and pixels to a world unit there, of a point beyond the near plane.
-    pub(super) fn project(&self, point: DVec3, near: f64) -> Option<(f64, f64, f64, f64)> {
+    pub(in crate::export) fn project(&self, point: DVec3, near: f64) -> Option<(f64, f64, f64, f64)> {
         let Camera { intrinsics: k, pose } = &self.camera;
         let p = pose.rotation() * point + pose.translation();
         let shown = p.z > near;
@@ -87,7 +87,7 @@ impl BakeView {
     }
 
     /// Width and height in pixels.
-    pub(super) fn size(&self) -> (f64, f64) {
+    pub(in crate::export) fn size(&self) -> (f64, f64) {
         (f64::from(self.camera.intrinsics.width), f64::from(self.camera.intrinsics.height))
     }
 }

@@ -1,0 +1,89 @@
+//! Keeps the Gaussians that the views show most, for viewers with a limit on their number.
+//!
+//! A Gaussian counts by the light that it adds: opacity times the transmittance in front of it times its area in pixels, summed over the
+//! views. Its color does not count, since a dark Gaussian hides others as a bright one does.
+
+use std::f64::consts::TAU;
+
+use glam::DVec3;
+use rayon::prelude::*;
+
+use super::bake::{BakeView, Disc, shares, thinned};
+use crate::domain::{Camera, GaussianScene};
+
+/// The `count` Gaussians that `cameras`, which are in the world, show most, in the scene's order.
+#[must_use]
+pub fn limited(scene: &GaussianScene, cameras: &[Camera], count: usize) -> GaussianScene {
+    if scene.len() <= count {
+        return scene.clone();
+    }
+    let shown = contributions(scene, cameras);
+    let mut kept: Vec<usize> = (0..scene.len()).collect();
+    kept.sort_by(|a, b| shown[*b].total_cmp(&shown[*a]).then(a.cmp(b)));
+    kept.truncate(count);
+    kept.sort_unstable();
+    GaussianScene {
+        means: kept.iter().map(|index| scene.means[*index]).collect(),
+        log_scales: kept.iter().map(|index| scene.log_scales[*index]).collect(),
+        quats: kept.iter().map(|index| scene.quats[*index]).collect(),
+        opacity_logits: kept.iter().map(|index| scene.opacity_logits[*index]).collect(),
+        sh: kept.iter().map(|index| scene.sh[*index]).collect(),
+        ..scene.clone()
+    }
+}
+
+/// Light of each Gaussian in all views, in pixels.
+fn contributions(scene: &GaussianScene, cameras: &[Camera]) -> Vec<f64> {
+    let opacities: Vec<f32> = scene.opacity_logits.iter().map(|logit| 1.0 / (1.0 + (-logit).exp())).collect();
+    let disc = |(mean, log): (&[f32; 3], &[f32; 3])| {
+        let mut log = log.map(f64::from);
+        log.sort_unstable_by(f64::total_cmp);
+        Disc { mean: DVec3::from(mean.map(f64::from)), sigma: (f64::midpoint(log[1], log[2])).exp() }
+    };
+    let discs: Vec<Disc> = scene.means.iter().zip(&scene.log_scales).map(disc).collect();
+    let near = f64::from(scene.near.depth());
+    let of_view = |camera: &Camera| -> Vec<f64> {
+        let view = BakeView::of(&scene.frame.camera_from_world(camera));
+        let shares = shares(&view, &discs, &opacities, near);
+        let (width, height) = view.size();
+        let shown = |(index, disc): (usize, &Disc)| match view.project(disc.mean, near) {
+            Some((.., scale)) if view.sees(disc.mean, disc.sigma, near) => {
+                let area = (TAU * (scale * disc.sigma).powi(2)).min(width * height);
+                area * f64::from(opacities[index] * shares[index])
+            }
+            _ => 0.0,
+        };
+        discs.iter().enumerate().map(shown).collect()
+    };
+    let mut sums = vec![0.0; scene.len()];
+    // View by view, so that the sums are the same with any number of threads.
+    let views: Vec<Vec<f64>> = thinned(cameras).par_iter().map(of_view).collect();
+    for view in views {
+        sums.iter_mut().zip(view).for_each(|(sum, value)| *sum += value);
+    }
+    sums
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::export::bake::sphere;
+
+    #[test]
+    fn what_is_seen_most_is_kept_in_order() {
+        // Large, hidden inside it, small beside it, and faint.
+        let scene = GaussianScene {
+            means: vec![[0.0; 3], [0.0, 0.0, 0.01], [3.0, 0.0, 0.0], [-3.0, 0.0, 0.0]],
+            log_scales: vec![[0.0; 3], [-3.0; 3], [-2.0; 3], [-2.0; 3]],
+            quats: vec![[1.0, 0.0, 0.0, 0.0]; 4],
+            opacity_logits: vec![9.0, 9.0, 9.0, -5.0],
+            sh: vec![[[0.0; 3]; 16]; 4],
+            degree: 0,
+            ..GaussianScene::default()
+        };
+        let cameras = sphere(&scene.means, 12, 64).expect("cameras");
+        assert_eq!(limited(&scene, &cameras, 2).means, [[0.0; 3], [3.0, 0.0, 0.0]]);
+        assert_eq!(limited(&scene, &cameras, 1).means, [[0.0; 3]]);
+        assert_eq!(limited(&scene, &cameras, 4), scene);
+    }
+}
