@@ -22,6 +22,7 @@ mod eval;
 mod export;
 mod export_page;
 mod files;
+mod help;
 mod inspect;
 mod json_lines;
 mod keys;
@@ -70,8 +71,16 @@ use report::Report;
 #[derive(Debug, Parser)]
 #[command(name = "tcgs", version, propagate_version = true, after_help = EXIT_STATUSES)]
 struct Cli {
-    /// How log lines on standard error are written (which ones: RUST_LOG)
-    #[arg(long, global = true, value_enum, default_value_t = Format::Text, env = "TCGS_LOG_FORMAT")]
+    /// How log lines on standard error are written: text or json (which ones: RUST_LOG)
+    #[arg(
+        long,
+        global = true,
+        value_enum,
+        default_value_t = Format::Text,
+        env = "TCGS_LOG_FORMAT",
+        hide_possible_values = true,
+        display_order = 1000
+    )]
     log_format: Format,
 
     #[command(subcommand)]
@@ -230,7 +239,7 @@ impl Command {
 
 /// Parses the arguments, runs the command, prints what came of it.
 pub(crate) fn main() -> ExitCode {
-    let settings = match config::parse(Cli::command(), std::env::args_os()) {
+    let settings = match config::parse(help::arranged(Cli::command()), std::env::args_os()) {
         Ok(settings) => settings,
         Err(failure) => return report::conclude(Err(failure), false),
     };

@@ -31,9 +31,9 @@ impl Display {
             return Self::Lines { last: None };
         }
         let bar = ProgressBar::with_draw_target(Some(0), ProgressDrawTarget::stderr());
-        let style = ProgressStyle::with_template("{prefix:>8} [{bar:28}] {pos}/{len}  {wide_msg}")
+        let style = ProgressStyle::with_template("{prefix} {bar:10} {pos}/{len}  {wide_msg}")
             .expect("the template is well formed")
-            .progress_chars("=> ");
+            .progress_chars("=>-");
         bar.set_style(style);
         bar.enable_steady_tick(Duration::from_millis(500));
         Self::Bar(bar)
@@ -47,7 +47,7 @@ impl Display {
                 let (done, total) = counts(progress);
                 bar.set_length(total);
                 bar.set_position(done);
-                bar.set_message(figures(progress));
+                bar.set_message(headline(progress).join("  "));
             }
             Self::Lines { last } => {
                 if is_due(*last, phase, progress) {
@@ -89,34 +89,32 @@ fn counts(progress: &Progress) -> (u64, u64) {
     progress.poses.map_or((progress.step, progress.total), |poses| (poses.done, poses.total))
 }
 
-/// The stage of the search for cameras, or loss, quality, size, speed and the time left, as far as known.
-fn figures(progress: &Progress) -> String {
+/// The stage of the search for cameras, or the time left, speed, quality and size, as far as known: what fits beside a bar on 80 columns.
+fn headline(progress: &Progress) -> Vec<String> {
     let mut parts = Vec::new();
     if let Some(poses) = progress.poses {
         parts.push(poses.stage.name().to_owned());
-        parts.extend(poses.reprojection_error.map(|error| format!("reprojection error {error:.2} px")));
+        parts.extend(poses.reprojection_error.map(|error| format!("error {error:.2} px")));
     }
-    if let Some(loss) = progress.loss {
-        parts.push(format!("loss {loss:.4}"));
+    if let Some(eta) = progress.eta_seconds {
+        let seconds = eta.max(0.0).round() as u64;
+        parts.push(format!("ETA {}:{:02}", seconds / 60, seconds % 60));
     }
-    if let Some(psnr) = progress.psnr {
-        parts.push(format!("PSNR {psnr:.2} dB"));
-    }
+    parts.extend(progress.steps_per_second.map(|speed| format!("{speed:.1} steps/s")));
+    parts.extend(progress.psnr.map(|psnr| format!("{psnr:.2} dB")));
+    parts.extend(progress.bytes.map(|bytes| format!("{:.0} kB", bytes as f64 / 1e3)));
+    parts
+}
+
+/// The headline, then loss and counts.
+fn figures(progress: &Progress) -> String {
+    let mut parts = headline(progress);
+    parts.extend(progress.loss.map(|loss| format!("loss {loss:.4}")));
     if progress.anchors > 0 {
         parts.push(format!("anchors {}", progress.anchors));
     }
     if progress.gaussians > 0 {
         parts.push(format!("Gaussians {}", progress.gaussians));
-    }
-    if let Some(bytes) = progress.bytes {
-        parts.push(format!("about {:.0} kB", bytes as f64 / 1e3));
-    }
-    if let Some(speed) = progress.steps_per_second {
-        parts.push(format!("{speed:.1} steps/s"));
-    }
-    if let Some(eta) = progress.eta_seconds {
-        let seconds = eta.max(0.0).round() as u64;
-        parts.push(format!("ETA {}:{:02}", seconds / 60, seconds % 60));
     }
     parts.join("  ")
 }
@@ -148,10 +146,25 @@ mod tests {
     fn a_line_holds_every_figure_that_is_known_and_no_other() {
         assert_eq!(
             line(Phase::Train, &report()),
-            "  14.2s train 120/1500  loss 0.0412  PSNR 24.32 dB  anchors 5120  Gaussians 20480  \
-             about 152 kB  8.4 steps/s  ETA 2:43"
+            "  14.2s train 120/1500  ETA 2:43  8.4 steps/s  24.32 dB  152 kB  loss 0.0412  anchors 5120  Gaussians 20480"
         );
         assert_eq!(line(Phase::Ingest, &Progress::default()), "   0.0s ingest");
+    }
+
+    #[test]
+    fn the_headline_of_a_long_run_fits_beside_its_bar() {
+        let long = Progress {
+            step: 29_999,
+            total: 30_000,
+            eta_seconds: Some(7_199.0),
+            steps_per_second: Some(123.4),
+            psnr: Some(34.567),
+            bytes: Some(12_345_678),
+            ..report()
+        };
+        let beside = "evaluate ".len() + 11 + "29999/30000  ".len();
+        assert_eq!(headline(&long).join("  "), "ETA 119:59  123.4 steps/s  34.57 dB  12346 kB");
+        assert!(beside + headline(&long).join("  ").len() <= 80);
     }
 
     #[test]

@@ -2,6 +2,7 @@
 
 use std::path::PathBuf;
 
+use indicatif::{ProgressBar, ProgressStyle};
 use tcgs::{
     domain::{Problem, ProblemType},
     sample::{self, SampleError, Settings},
@@ -28,7 +29,14 @@ pub(crate) struct Args {
 /// Renders and writes the scene.
 pub(crate) fn run(args: &Args) -> Result<Report, CliError> {
     let settings = Settings { side: args.side, seed: args.seed, ..Settings::default() };
-    let written = sample::write(&args.path, &settings).map_err(failure)?;
+    // Hidden where standard error is no terminal.
+    let bar = ProgressBar::new(0).with_message("images").with_style(style());
+    let written = sample::write_watched(&args.path, &settings, &mut |drawn, all| {
+        bar.set_length(all as u64);
+        bar.set_position(drawn as u64);
+    });
+    bar.finish_and_clear();
+    let written = written.map_err(failure)?;
     Ok(Report::text(format!(
         "wrote {}: {} images to train on, {} held out, {} points",
         args.path.display(),
@@ -36,6 +44,11 @@ pub(crate) fn run(args: &Args) -> Result<Report, CliError> {
         written.test,
         written.points
     )))
+}
+
+fn style() -> ProgressStyle {
+    ProgressStyle::with_template("{msg} {bar:28} {pos}/{len}")
+        .unwrap_or_else(|_| ProgressStyle::default_bar())
 }
 
 fn failure(error: SampleError) -> CliError {

@@ -7,13 +7,21 @@ use std::{
 };
 
 use clap::{Arg, Command, error::ContextKind, error::ContextValue};
+use tcgs::worker::WORKER_ID_VARIABLE;
 
 /// The beginning of every variable of this program.
 const PREFIX: &str = "TCGS_";
 
 /// Variables that are read without a flag of their own.
-const WITHOUT_FLAGS: [&str; 5] =
-    ["TCGS_API_KEY", "TCGS_FAIL_AT", "TCGS_FFMPEG", "TCGS_POSES_PYTHON", "TCGS_SHARED"];
+const WITHOUT_FLAGS: [&str; 6] = [
+    "TCGS_API_KEY",
+    "TCGS_FAIL_AT",
+    "TCGS_FFMPEG",
+    "TCGS_POSES_PYTHON",
+    "TCGS_SHARED",
+    // From a service to its worker.
+    WORKER_ID_VARIABLE,
+];
 
 /// The variable whose value an error is about: that of its flag, if the flag was not typed.
 pub(super) fn refused(error: &clap::Error, command: &Command, arguments: &[OsString]) -> Option<String> {
@@ -62,7 +70,15 @@ mod tests {
     #[test]
     fn variables_that_nothing_reads_are_found() {
         let command = crate::cli::Cli::command();
-        let names = ["TCGS_WORKERS", "TCGS_WORKRS", "TCGS_API_KEY", "TCGS_LOG_FORMAT", "PATH", "TCGS_listen"];
+        let names = [
+            WORKER_ID_VARIABLE,
+            "TCGS_WORKERS",
+            "TCGS_WORKRS",
+            "TCGS_API_KEY",
+            "TCGS_LOG_FORMAT",
+            "PATH",
+            "TCGS_listen",
+        ];
         let unread = unread_among(&command, names.into_iter().map(OsString::from));
         assert_eq!(unread, ["TCGS_WORKRS", "TCGS_listen"]);
     }

@@ -257,7 +257,7 @@
     const adapter = await navigator.gpu.requestAdapter();
     if (!adapter) return byService('WebGPU has no adapter here.');
     // A browser's software adapter takes seconds for a picture. The address of a test ends in #webgpu.
-    if (scene.view && adapter.info.isFallbackAdapter && location.hash !== '#webgpu') return byService('WebGPU has no GPU here.');
+    if (scene.view && (adapter.info || {}).isFallbackAdapter && location.hash !== '#webgpu') return byService('WebGPU has no GPU here.');
     const [module, file] = await Promise.all(inside
       ? [inline('module'), inline('file')]
       : [fetched(scene.module), fetched(scene.file.href, scene.file.bytes)]);

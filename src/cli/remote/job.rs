@@ -70,7 +70,8 @@ pub(super) fn read(whole: Value) -> Result<(Value, JobView), CliError> {
 /// The report of a job that was created.
 pub(super) fn created(whole: Value, job: &JobView, server: &ServerFlags) -> Report {
     let watch = server.command_line(&format!("watch {}", job.id));
-    Report { text: format!("job {}\nwatch     {watch}", job.id), json: whole }
+    let report = server.address(&format!("{}/report", path(job.id)));
+    Report { text: format!("job {}\nwatch     {watch}\nreport    {report}", job.id), json: whole }
 }
 
 /// The outcome of a finished job: its metrics, or its problem as the command's own.
@@ -80,7 +81,12 @@ pub(super) fn conclude(whole: Value, job: JobView, server: &ServerFlags) -> Resu
             // What `fetch` takes without `--lambda`; the kind of a file is also its extension.
             let extension = job.artifacts.first().map_or("tcgs", |file| &file.kind);
             let fetch = server.command_line(&format!("fetch {} -o scene.{extension}", job.id));
-            let text = format!("{}\nfetch     {fetch}", train::text(&metrics));
+            let page = |name: &str| server.address(&format!("{}/{name}", path(job.id)));
+            let (viewer, report) = (page("viewer"), page("report"));
+            let text = format!(
+                "{}\nfetch     {fetch}\nviewer    {viewer}\nreport    {report}",
+                train::text(&metrics)
+            );
             Ok(Report { text, json: whole })
         }
         (JobState::Failed, Some(problem), _) => Err(problem.into()),

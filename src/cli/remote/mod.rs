@@ -107,6 +107,11 @@ impl ServerFlags {
         }
         line
     }
+
+    /// The address of something at the service, for a browser.
+    fn address(&self, path: &str) -> String {
+        format!("{}{path}", self.server.trim_end_matches('/'))
+    }
 }
 
 /// An argument as a shell reads it.

@@ -28,14 +28,18 @@ pub(super) fn section(jobs: &[JobRecord], is_first: bool, next: Option<&str>) ->
 fn card(record: &JobRecord) -> Markup {
     let job = &record.job;
     let (id, state) = (job.id, job.state.name());
+    let is_done = job.state == JobState::Succeeded;
     let name = name(record);
     html! {
         article.job data-job=(id) data-state=(state) data-name=(name) {
-            a.thumb href=(format!("v1/jobs/{id}/report")) tabindex="-1" aria-hidden="true" {
+            a.thumb href=(format!("v1/jobs/{id}/{}", if is_done { "viewer" } else { "report" })) tabindex="-1" aria-hidden="true" {
                 @if record.artifact(ArtifactKind::Thumbnail).is_some() {
                     img src=(format!("v1/jobs/{id}/thumbnail")) alt="" loading="lazy";
                 } @else if record.artifact(ArtifactKind::Preview).is_some() {
                     img src=(format!("v1/jobs/{id}/preview")) alt="" loading="lazy";
+                } @else if is_done {
+                    // A job of an earlier version.
+                    img src=(format!("v1/jobs/{id}/view?width=320&format=jpeg")) alt="" loading="lazy";
                 }
             }
             div.what {
@@ -67,7 +71,7 @@ fn actions(job: &Job) -> Markup {
             JobState::Queued | JobState::Running if job.cancel_requested => span.hint { "is being cancelled" },
             JobState::Queued | JobState::Running => (button("cancel", "Cancel")),
             JobState::Failed | JobState::Cancelled => { (button("retry", "Retry")) " " (button("delete", "Delete")) },
-            JobState::Succeeded => (button("delete", "Delete")),
+            JobState::Succeeded => { a.button href=(format!("v1/jobs/{}/viewer", job.id)) { "View" } " " (button("delete", "Delete")) },
         }
     }
 }

@@ -2,22 +2,24 @@
 
 use jiff::SignedDuration;
 use serde_json::{Value, json};
-use std::sync::Arc;
+use std::{sync::Arc, time::Duration};
 use tcgs::{
     domain::{JobMetrics, ManualClock, PhaseSeconds, ProjectId, Scope},
-    store::Outcome,
+    store::{Outcome, QueuePolicy},
 };
 
 use crate::support::{
     contract::Coverage,
     fakes,
-    server::{Server, Setup},
+    server::{Server, Setup, quick_policy},
 };
 
 /// A service without workers at a time that stands still, and the path of a dataset of it.
 async fn server(coverage: &Coverage) -> (Server, Arc<ManualClock>, String) {
     let clock = Arc::new(ManualClock::new("2026-11-21T12:00:00Z".parse().expect("an instant")));
-    let setup = Setup { worker: false, clock: clock.clone(), ..Setup::default() };
+    // The clock jumps farther than a lease lasts, and what is over is swept meanwhile.
+    let policy = QueuePolicy { lease: Duration::from_secs(86_400), ..quick_policy() };
+    let setup = Setup { worker: false, clock: clock.clone(), policy, ..Setup::default() };
     let server = Server::start_with(coverage, setup).await;
     let made = server
         .send("POST", "/v1/datasets", |request| {

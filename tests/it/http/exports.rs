@@ -189,7 +189,7 @@ pub(super) async fn an_export_that_cannot_be_is_said_so(coverage: Coverage) {
     let job = curve(&server).await;
     for (query, named) in [
         ("", "format"),
-        ("?format=glb", "format"),
+        ("?format=obj", "format"),
         ("?format=tcgs", "format"),
         ("?format=ply&lambda=x", "lambda"),
         ("?format=ply&size=1", "size"),

@@ -301,13 +301,12 @@ pub(super) async fn a_report_has_the_names_and_files_of_its_job(coverage: Covera
     let origin = format!("http://{}{job}/report", server.address);
     let base = reqwest::Url::parse(&origin).expect("an address");
     let links: Vec<String> = links.map(|link| base.join(link).expect("an address").to_string()).collect();
-    let expected = ["/", "/artifact", "/export?format=ply", "/export?format=spz", "/report?format=csv", ""]
-        .iter()
-        .enumerate()
-        .map(|(place, rest)| match place {
-            0 => format!("http://{}/", server.address),
-            _ => format!("http://{}{job}{rest}", server.address),
-        });
+    let files =
+        ["/", "/artifact", "/export?format=ply", "/export?format=spz", "/report?format=csv", "", "/viewer"];
+    let expected = files.iter().enumerate().map(|(place, rest)| match place {
+        0 => format!("http://{}/", server.address),
+        _ => format!("http://{}{job}{rest}", server.address),
+    });
     assert_eq!(links, expected.collect::<Vec<_>>());
     for link in &links[1..] {
         let path = link.strip_prefix(&format!("http://{}", server.address)).expect("of this service");

@@ -116,7 +116,7 @@ async fn a_process_dies_at_every_point(deployment: Deployment) {
     let job = create(&deployment, &mut service, "undisturbed").await;
     service.succeeded(&format!("/v1/jobs/{job}")).await;
     let undisturbed = left(&deployment, &job).await;
-    assert_eq!((undisturbed.artifacts.len(), undisturbed.ends), (3, 1), "{undisturbed:?}");
+    assert_eq!((undisturbed.artifacts.len(), undisturbed.ends), (4, 1), "{undisturbed:?}");
     let (mut jobs, mut deaths) = (1, 0);
     let all = env::var_os("TCGS_SOAK_KILLS").is_some() || !deployment.has_bucket();
     let plan = plan(deployment.has_bucket());

@@ -29,8 +29,8 @@ const WEBGPU: [&str; 8] = [
 
 /// How the page shows the scene, once it has; its last line if it cannot.
 const SHOWN: &str = "(() => {
-    const { mode, frames } = document.getElementById('stage').dataset;
-    return frames ? mode : null;
+    const stage = document.getElementById('stage');
+    return stage && stage.dataset.frames ? stage.dataset.mode : null;
 })()";
 
 /// The picture that a press of the button saves, as a PNG in base64.

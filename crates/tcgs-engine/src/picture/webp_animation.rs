@@ -7,6 +7,8 @@ use super::PictureError;
 
 /// Sets the bit that says that there are frames.
 const ANIMATION: u8 = 1 << 1;
+/// Sets the bit that says that frames may be transparent. The head is written without them, and opaque ones stay so.
+const ALPHA: u8 = 1 << 4;
 /// Frames replace each other: no blending, no disposal.
 const REPLACE: u8 = 1 << 1;
 
@@ -27,7 +29,7 @@ impl WebpAnimation {
     pub fn head(&self, frames: usize) -> Result<Vec<u8>, PictureError> {
         let mut chunks = Vec::new();
         let [width, height] = self.size.map(one_less);
-        write(&mut chunks, b"VP8X", &[&[ANIMATION, 0, 0, 0], &width, &height]);
+        write(&mut chunks, b"VP8X", &[&[ANIMATION | ALPHA, 0, 0, 0], &width, &height]);
         // A transparent background and no number of rounds.
         write(&mut chunks, b"ANIM", &[&[0; 4], &[0; 2]]);
         let length = u32::try_from(4 + chunks.len() + frames).ok().filter(|length| *length < u32::MAX - 10);

@@ -30,6 +30,18 @@ struct Files {
 /// # Errors
 /// [`SampleError`]: something is there already, the side is impossible, or the file system refuses.
 pub fn write(path: &Path, settings: &Settings) -> Result<SampleCounts, SampleError> {
+    write_watched(path, settings, &mut |_, _| ())
+}
+
+/// As [`write`]; tells `watch` after each image how many are drawn, of how many.
+///
+/// # Errors
+/// As [`write`].
+pub fn write_watched(
+    path: &Path,
+    settings: &Settings,
+    watch: &mut dyn FnMut(usize, usize),
+) -> Result<SampleCounts, SampleError> {
     if !(8..=4096).contains(&settings.side) {
         return Err(SampleError::Side(settings.side));
     }
@@ -40,7 +52,7 @@ pub fn write(path: &Path, settings: &Settings) -> Result<SampleCounts, SampleErr
     if !is_zip && path.exists() && read_dir(path)?.next().is_some() {
         return Err(SampleError::NotEmpty(path.to_owned()));
     }
-    let files = files(settings)?;
+    let files = files(settings, watch)?;
     if is_zip {
         write_file(path, &zip_bytes(&files.entries)?)?;
         return Ok(files.written);
@@ -59,7 +71,7 @@ pub fn write(path: &Path, settings: &Settings) -> Result<SampleCounts, SampleErr
     Ok(files.written)
 }
 
-fn files(settings: &Settings) -> Result<Files, SampleError> {
+fn files(settings: &Settings, watch: &mut dyn FnMut(usize, usize)) -> Result<Files, SampleError> {
     let scene = Scene::still_life();
     let cameras = views::cameras(settings.side);
     let cloud = points::cloud(&scene, &cameras, settings.points, settings.seed);
@@ -69,6 +81,7 @@ fn files(settings: &Settings) -> Result<Files, SampleError> {
     let mut entries = Vec::with_capacity(cameras.len() + 2);
     for (index, camera) in cameras.iter().enumerate() {
         entries.push((image_name(index), png(&scene.render(camera))?));
+        watch(index + 1, cameras.len());
     }
     entries.push((POINTS.to_owned(), ply_bytes(&cloud)));
     // Last, so that a folder with this file is a whole scene.

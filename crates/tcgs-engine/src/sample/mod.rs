@@ -15,7 +15,7 @@ use std::{io, path::PathBuf};
 
 use thiserror::Error;
 
-pub use files::write;
+pub use files::{write, write_watched};
 
 /// Size and seed of the scene.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
