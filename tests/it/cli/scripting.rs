@@ -42,12 +42,10 @@ fn path(path: &Path) -> &str {
     path.to_str().expect("UTF-8")
 }
 
-/// The commands that a help lists, by the rows under its heading.
+/// The commands that a help lists, by the rows of its groups.
 fn listed_commands(help: &str) -> Vec<&str> {
     help.lines()
-        .skip_while(|line| *line != "Commands:")
-        .skip(1)
-        .take_while(|line| !line.is_empty())
+        .take_while(|line| *line != "Options:")
         .filter_map(|line| line.strip_prefix("  ")?.split_whitespace().next())
         .collect()
 }
