@@ -19,6 +19,7 @@ use tcgs::{
 
 use crate::support::{
     program::{answers, succeeds, tcgs},
+    server,
     shared::shared,
     skip::skip,
 };
@@ -498,7 +499,7 @@ fn a_sog_is_a_zip_of_lossless_pictures_in_which_the_scene_is_found_again() {
     };
     let meta: Value = serde_json::from_slice(&file("meta.json")).expect("JSON");
     assert_eq!((&meta["version"], &meta["count"]), (&json!(2), &json!(written.scene.len())));
-    let mut picture = |name: &str| image::load_from_memory(&file(name)).expect("a picture").to_rgba8();
+    let mut picture = |name: &str| server::picture(&file(name)).to_rgba8();
     let (low, high, scales) = (picture("means_l.webp"), picture("means_u.webp"), picture("scales.webp"));
     let bounds = |name: &str, axis: usize| number(&meta["means"][name][axis]);
     for (pixel, mean) in written.scene.means.iter().enumerate() {

@@ -59,7 +59,7 @@ impl PendingRead {
         Self { staging, submission, mapping, bytes }
     }
 
-    /// Waits without blocking until [`PendingRead::finish`] finds the copy or the fault. On a page, the browser drives the device;
+    /// Waits without blocking until [`Staging::finish`] finds the copy or the fault. On a page, the browser drives the device;
     /// elsewhere, somebody has to wait for it meanwhile.
     pub async fn mapped(&self) {
         self.mapping.ended().await;
