@@ -102,8 +102,9 @@ fetch view_by_pose.png \
     "/v1/jobs/$id/view?position=2.6,-2.2,2.4&look_at=0.12,0.1,0.32&up=0,0,1&fov=49&width=400&height=400"
 cp "$work/scene/images/view_06.png" "$out/photograph.png"
 "$bin" inspect "$out/scene.tcgs" >"$out/inspect.txt"
-"$bin" export "$out/scene.tcgs" --output "$out/scene.html" --dataset "$work/scene" >"$out/export.txt" 2>&1 ||
-    fail "the scene cannot be written as a page: $(cat "$out/export.txt")"
+# A program that was built without a compiler for WebAssembly has no page.
+rm -f "$out/scene.html"
+"$bin" export "$out/scene.tcgs" --format html --output "$out/scene.html" --dataset "$work/scene" >"$out/export.txt" 2>&1 || true
 
 test_metrics=$(tr -d '\n' <<<"$job" | grep -oE '"test" *: *\{[^}]*\}' | head -n 1)
 say ""
@@ -113,5 +114,9 @@ say "held-out views   PSNR $psnr dB, SSIM $ssim"
 say "file             $(wc -c <"$out/scene.tcgs") bytes: $out/scene.tcgs ($out/inspect.txt: where they go)"
 say "view by frame    $out/view_by_frame.png, beside $out/photograph.png, which training did not see"
 say "view by pose     $out/view_by_pose.png"
-say "viewer           $out/scene.html, in a browser with WebGPU"
+if [ -e "$out/scene.html" ]; then
+    say "viewer           $out/scene.html, in a browser with WebGPU"
+else
+    say "viewer           none: $(head -n 1 "$out/export.txt")"
+fi
 say "job and log      $out/job.json, $out/serve.log"

@@ -64,6 +64,10 @@ pub(super) async fn a_link_opens_a_jobs_page_and_what_it_shows_and_nothing_else(
         server.get(&format!("{base}/{opened}")).await.expect(200);
         server.send("HEAD", &format!("{base}/{opened}"), |request| request).await.expect(200);
     }
+    // Script and module of the viewer lie outside of the link.
+    let viewer = server.get(&format!("{base}/viewer")).await.expect(200);
+    let viewer = String::from_utf8(viewer.body.to_vec()).expect("UTF-8");
+    assert!(viewer.contains(r#""../../../../../viewer/module.wasm""#), "{viewer}");
     let prefix = base.strip_suffix(&job).expect("the job's path at the end");
     let closed = [
         job.clone(),
