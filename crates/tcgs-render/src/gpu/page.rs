@@ -25,13 +25,13 @@ impl Device {
     /// Opens the adapter that the browser prefers for `canvas`.
     ///
     /// # Errors
-    /// [`GpuError::NoAdapter`] or [`GpuError::Open`].
+    /// [`GpuError::Open`].
     pub async fn of_page(canvas: OffscreenCanvas) -> Result<(Arc<Self>, PageCanvas), GpuError> {
         let instance = wgpu::Instance::new(wgpu::InstanceDescriptor {
             backends: wgpu::Backends::BROWSER_WEBGPU,
             ..wgpu::InstanceDescriptor::new_without_display_handle()
         });
-        let none = |error: String| GpuError::NoAdapter { wanted: "WebGPU".to_owned(), available: error };
+        let none = |error: String| GpuError::Open { adapter: "WebGPU".to_owned(), error };
         let surface = instance
             .create_surface(wgpu::SurfaceTarget::OffscreenCanvas(canvas))
             .map_err(|error| none(error.to_string()))?;

@@ -23,7 +23,7 @@ impl PageRenderer {
     /// Opens the browser's device for `canvas` and uploads a scene.
     ///
     /// # Errors
-    /// As [`Renderer::of_scene`], and [`GpuError::NoAdapter`](crate::gpu::GpuError::NoAdapter) in a browser without WebGPU.
+    /// As [`Renderer::of_scene`], and [`GpuError::Open`](crate::gpu::GpuError::Open) in a browser without WebGPU.
     pub async fn open(canvas: OffscreenCanvas, scene: &Scene, background: Background) -> Result<Self> {
         let (device, canvas) = Device::of_page(canvas).await?;
         let renderer = Renderer::of_scene(&device, scene, background)?;
