@@ -10,16 +10,14 @@
   const actions = {
     async open({ module, file, canvas }) {
       await wasm_bindgen({ module_or_path: await WebAssembly.compile(module) });
-      const began = performance.now();
       const scene = wasm_bindgen.SceneFile.decode(new Uint8Array(file));
-      const decoded = { ...JSON.parse(scene.summary()), ms: performance.now() - began };
+      const opened = JSON.parse(scene.summary());
       viewer = await scene.show(canvas);
-      return { opened: { ...decoded, adapter: viewer.adapter() } };
+      return { opened };
     },
     async draw(camera) {
-      const began = performance.now();
       await viewer.draw(JSON.stringify(camera));
-      return { drawn: performance.now() - began };
+      return { drawn: true };
     },
     async pixels(camera) {
       return { pixels: await viewer.pixels(JSON.stringify(camera)) };

@@ -10,7 +10,10 @@ use secrecy::{ExposeSecret as _, SecretString};
 use subtle::ConstantTimeEq as _;
 use thiserror::Error;
 
-use super::{Digest, RandomSource, random_source::RandomError};
+use super::{
+    Digest, RandomSource,
+    random_source::{RandomError, random_digits},
+};
 
 /// The prefix of every key.
 pub const KEY_PREFIX: &str = "tcgs_";
@@ -35,9 +38,7 @@ impl ApiKey {
     /// # Errors
     /// [`RandomError`].
     pub fn generate(entropy: &dyn RandomSource) -> Result<Self, RandomError> {
-        let mut random = [0; RANDOM_BYTES];
-        entropy.fill(&mut random)?;
-        let digits: String = random.iter().map(|byte| format!("{byte:02x}")).collect();
+        let digits = random_digits::<RANDOM_BYTES>(entropy)?;
         let body = format!("{KEY_PREFIX}{digits}");
         let sum = crc32c::crc32c(body.as_bytes());
         Ok(Self(format!("{body}{sum:08x}").into()))

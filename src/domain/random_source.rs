@@ -11,6 +11,21 @@ pub trait RandomSource: Send + Sync + 'static {
     fn fill(&self, bytes: &mut [u8]) -> Result<(), RandomError>;
 }
 
+/// Hexadecimal digits of `N` random bytes.
+///
+/// # Errors
+/// [`RandomError`].
+pub(super) fn random_digits<const N: usize>(entropy: &dyn RandomSource) -> Result<String, RandomError> {
+    let mut random = [0; N];
+    entropy.fill(&mut random)?;
+    Ok(hex(&random))
+}
+
+/// Bytes as hexadecimal digits.
+pub(super) fn hex(bytes: &[u8]) -> String {
+    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
+}
+
 /// The system's random number generator failed.
 #[derive(Debug, Clone, PartialEq, Eq, Error)]
 #[error("the system's random number generator failed: {0}")]

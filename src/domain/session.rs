@@ -5,7 +5,7 @@ use std::str::FromStr;
 
 use secrecy::{ExposeSecret as _, SecretString};
 
-use super::{KeyHash, RandomError, RandomSource};
+use super::{KeyHash, RandomError, RandomSource, random_source::random_digits};
 
 /// Random bytes of a token.
 const RANDOM_BYTES: usize = 32;
@@ -24,10 +24,7 @@ impl SessionToken {
     /// # Errors
     /// [`RandomError`].
     pub fn generate(entropy: &dyn RandomSource) -> Result<Self, RandomError> {
-        let mut random = [0; RANDOM_BYTES];
-        entropy.fill(&mut random)?;
-        let digits: String = random.iter().map(|byte| format!("{byte:02x}")).collect();
-        Ok(Self(digits.into()))
+        Ok(Self(random_digits::<RANDOM_BYTES>(entropy)?.into()))
     }
 
     /// The token itself, for its browser.

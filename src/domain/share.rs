@@ -8,7 +8,10 @@ use sha2::Sha256;
 use subtle::ConstantTimeEq as _;
 use uuid::Uuid;
 
-use super::{RandomError, RandomSource, ShareId};
+use super::{
+    RandomError, RandomSource, ShareId,
+    random_source::{hex, random_digits},
+};
 
 /// Random bytes of a secret.
 const RANDOM_BYTES: usize = 32;
@@ -29,9 +32,7 @@ impl ShareSecret {
     /// # Errors
     /// [`RandomError`].
     pub fn generate(entropy: &dyn RandomSource) -> Result<Self, RandomError> {
-        let mut random = [0; RANDOM_BYTES];
-        entropy.fill(&mut random)?;
-        Ok(Self(hex(&random).into()))
+        Ok(Self(random_digits::<RANDOM_BYTES>(entropy)?.into()))
     }
 
     /// A secret as it was stored.
@@ -105,10 +106,6 @@ impl FromStr for ShareToken {
         let id = ShareId(Uuid::try_parse(id).map_err(|_| MalformedShareToken)?);
         Ok(Self { id, signature: signature.into() })
     }
-}
-
-fn hex(bytes: &[u8]) -> String {
-    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
 #[cfg(test)]

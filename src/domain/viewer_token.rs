@@ -4,7 +4,7 @@
 use secrecy::{ExposeSecret as _, SecretString};
 use subtle::ConstantTimeEq as _;
 
-use super::{RandomError, RandomSource};
+use super::{RandomError, RandomSource, random_source::random_digits};
 
 /// Random bytes of a token.
 const RANDOM_BYTES: usize = 32;
@@ -19,10 +19,7 @@ impl ViewerToken {
     /// # Errors
     /// [`RandomError`].
     pub fn generate(entropy: &dyn RandomSource) -> Result<Self, RandomError> {
-        let mut random = [0; RANDOM_BYTES];
-        entropy.fill(&mut random)?;
-        let digits: String = random.iter().map(|byte| format!("{byte:02x}")).collect();
-        Ok(Self(digits.into()))
+        Ok(Self(random_digits::<RANDOM_BYTES>(entropy)?.into()))
     }
 
     /// A token as it was stored.

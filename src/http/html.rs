@@ -7,20 +7,18 @@ use axum::{
     http::{HeaderName, HeaderValue, header},
     response::{IntoResponse as _, Response},
 };
-use base64::{Engine as _, engine::general_purpose::STANDARD};
 use maud::Markup;
 
 use super::problem::{ApiResult, internal};
-use crate::domain::Digest;
+use crate::viewer_page::source_of;
 
 /// The policy of pages with this script and this style; `None` never occurs, since hashes are legal in headers.
 pub(super) fn policy(script: &str, style: &str) -> Option<HeaderValue> {
-    let source = |text: &str| format!("'sha256-{}'", STANDARD.encode(Digest::of(text.as_bytes()).as_bytes()));
     let policy = format!(
         "default-src 'none'; script-src {}; style-src {}; img-src 'self' data: blob:; connect-src 'self'; \
          base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
-        source(script),
-        source(style)
+        source_of(script),
+        source_of(style)
     );
     HeaderValue::try_from(policy).ok()
 }

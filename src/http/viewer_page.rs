@@ -7,10 +7,10 @@ use axum::{
     http::{HeaderMap, HeaderValue, header},
     response::{IntoResponse as _, Response},
 };
-use serde::de::DeserializeOwned;
 
 use super::{
     auth::shared_link::OptionalLink,
+    files::{document, file_of},
     html,
     jobs::OwnedJob,
     problem::{Answer as _, ApiResult, ProblemResponse},
@@ -52,7 +52,7 @@ pub(super) async fn page(
     if etag.is_in_if_none_match(&headers) {
         return Ok(not_modified(&etag));
     }
-    let file = super::files::file_of(&record, None)?;
+    let file = file_of(&record, None)?;
     let cameras: Vec<NamedCamera> =
         document(&state, &record, ArtifactKind::Cameras).await?.unwrap_or_default();
     let held_out: Option<HeldOut> = document(&state, &record, ArtifactKind::HeldOut).await?;
@@ -164,15 +164,4 @@ fn links(format: SceneFormat, bytes: u64, link: &OptionalLink) -> Links {
         view: "view".to_owned(),
         report: "report".to_owned(),
     }
-}
-
-/// The content of a JSON artifact, if the job has one of this kind.
-async fn document<T: DeserializeOwned>(
-    state: &AppState,
-    record: &JobRecord,
-    kind: ArtifactKind,
-) -> ApiResult<Option<T>> {
-    let Some(blob) = record.artifact(kind) else { return Ok(None) };
-    let content = state.blobs().read(blob.digest).await?;
-    serde_json::from_slice(&content).map(Some).map_err(|error| ProblemResponse::internal(&error))
 }

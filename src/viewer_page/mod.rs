@@ -12,7 +12,7 @@ use serde::Serialize;
 
 pub use assets::{Assets, assets};
 
-use crate::domain::{Camera, Convention, Digest};
+use crate::domain::{Camera, CameraView, Digest};
 
 const SCRIPT: &str = include_str!("page.js");
 const STYLE: &str = include_str!("page.css");
@@ -22,14 +22,8 @@ const STYLE: &str = include_str!("page.css");
 pub struct Stop {
     /// The frame's name.
     pub name: String,
-    /// Four rows, in OpenCV's axes.
-    camera_to_world: [[f64; 4]; 4],
-    fx: f64,
-    fy: f64,
-    cx: f64,
-    cy: f64,
-    width: u32,
-    height: u32,
+    #[serde(flatten)]
+    view: CameraView,
     /// A JPEG in base64 of the camera's field of view, if there is one.
     photograph: Option<String>,
 }
@@ -38,18 +32,7 @@ impl Stop {
     /// The stop at a camera.
     #[must_use]
     pub fn new(name: String, camera: &Camera, photograph: Option<String>) -> Self {
-        let Camera { intrinsics, pose } = camera;
-        Self {
-            name,
-            camera_to_world: pose.camera_to_world(Convention::Opencv).transpose().to_cols_array_2d(),
-            fx: intrinsics.fx,
-            fy: intrinsics.fy,
-            cx: intrinsics.cx,
-            cy: intrinsics.cy,
-            width: intrinsics.width,
-            height: intrinsics.height,
-            photograph,
-        }
+        Self { name, view: CameraView::from(camera), photograph }
     }
 
     /// Whether it shows a photograph.
@@ -124,14 +107,19 @@ pub fn served_policy() -> String {
     format!("{}; connect-src 'self'; frame-ancestors 'none'", policy("'self' blob:"))
 }
 
+/// A script or style as a content security policy names it.
+#[must_use]
+pub fn source_of(text: &str) -> String {
+    format!("'sha256-{}'", STANDARD.encode(Digest::of(text.as_bytes()).as_bytes()))
+}
+
 /// What every page allows, with workers from `workers`.
 fn policy(workers: &str) -> String {
-    let hash = |text: &str| format!("'sha256-{}'", STANDARD.encode(Digest::of(text.as_bytes()).as_bytes()));
     format!(
         "default-src 'none'; script-src {} 'wasm-unsafe-eval'; style-src {}; img-src 'self' data: blob:; worker-src {workers}; \
          base-uri 'none'; form-action 'none'",
-        hash(SCRIPT),
-        hash(STYLE)
+        source_of(SCRIPT),
+        source_of(STYLE)
     )
 }
 

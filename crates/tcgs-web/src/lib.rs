@@ -67,11 +67,6 @@ impl SceneFile {
 
 #[wasm_bindgen]
 impl Viewer {
-    /// Adapter and backend in one line.
-    pub fn adapter(&self) -> String {
-        self.0.adapter_line()
-    }
-
     /// Draws the view of a camera, in the JSON of `POST /v1/jobs/{id}/views`, on the canvas.
     ///
     /// # Errors

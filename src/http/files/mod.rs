@@ -9,7 +9,7 @@ use axum::{
     http::{HeaderMap, HeaderValue, Method, header},
     response::IntoResponse,
 };
-use serde::Serialize;
+use serde::{Serialize, de::DeserializeOwned};
 use serde_json::json;
 
 use self::download::{File, media_type, serve};
@@ -48,6 +48,17 @@ fn no_such_lambda(record: &JobRecord) -> ProblemResponse {
         format!("job {} has files of lambda {}", record.job.id, known.join(", "))
     };
     ProblemType::NoSuchLambda.because(detail)
+}
+
+/// The content of a JSON artifact, if the job has one of this kind.
+pub(super) async fn document<T: DeserializeOwned>(
+    state: &AppState,
+    record: &JobRecord,
+    kind: ArtifactKind,
+) -> ApiResult<Option<T>> {
+    let Some(blob) = record.artifact(kind) else { return Ok(None) };
+    let content = state.blobs().read(blob.digest).await?;
+    serde_json::from_slice(&content).map(Some).map_err(|error| ProblemResponse::internal(&error))
 }
 
 /// `GET` and `HEAD /v1/jobs/{id}/artifact`.

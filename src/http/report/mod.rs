@@ -21,7 +21,6 @@ use axum::{
     http::{HeaderMap, HeaderValue, header},
     response::{IntoResponse as _, Response},
 };
-use serde::de::DeserializeOwned;
 
 use self::{
     history::History,
@@ -29,6 +28,7 @@ use self::{
 };
 use super::{
     auth::shared_link::OptionalLink,
+    files::document,
     html,
     jobs::OwnedJob,
     problem::{Answer as _, ApiResult, ProblemResponse},
@@ -37,7 +37,7 @@ use super::{
 };
 use crate::{
     domain::{HeldOut, NamedCamera, ProblemType},
-    store::{ArtifactKind, JobRecord},
+    store::ArtifactKind,
 };
 
 /// The media types of a report.
@@ -95,15 +95,4 @@ fn table(text: String, etag: &Etag) -> Response {
         (header::ETAG, etag.value()),
     ];
     (head, text).into_response()
-}
-
-/// The content of a JSON artifact, if the job has one of this kind.
-async fn document<T: DeserializeOwned>(
-    state: &AppState,
-    record: &JobRecord,
-    kind: ArtifactKind,
-) -> ApiResult<Option<T>> {
-    let Some(blob) = record.artifact(kind) else { return Ok(None) };
-    let content = state.blobs().read(blob.digest).await?;
-    serde_json::from_slice(&content).map(Some).map_err(|error| ProblemResponse::internal(&error))
 }

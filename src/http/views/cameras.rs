@@ -10,7 +10,7 @@ use serde_json::{Value, json};
 
 use super::{cameras_blob, dataset_cameras};
 use crate::{
-    domain::{Convention, NamedCamera},
+    domain::{CameraView, NamedCamera},
     http::{
         jobs::OwnedJob,
         problem::ApiResult,
@@ -42,23 +42,5 @@ pub(crate) async fn get(
 
 /// `#/components/schemas/DatasetCamera` of the contract.
 fn body(named: &NamedCamera) -> Value {
-    let convention = Convention::Opencv;
-    let camera = named.camera;
-    let matrix = camera.pose.camera_to_world(convention);
-    let rows: [[f64; 4]; 4] = std::array::from_fn(|row| matrix.row(row).to_array());
-    let k = camera.intrinsics;
-    json!({
-        "name": named.name,
-        "split": named.split,
-        "view": {
-            "camera_to_world": rows,
-            "convention": convention,
-            "fx": k.fx,
-            "fy": k.fy,
-            "cx": k.cx,
-            "cy": k.cy,
-            "width": k.width,
-            "height": k.height,
-        },
-    })
+    json!({ "name": named.name, "split": named.split, "view": CameraView::from(&named.camera) })
 }

@@ -21,7 +21,7 @@ use self::{
 };
 use super::{
     config::RequestLimits,
-    files::{file_of, take_lambda},
+    files::{document, file_of, take_lambda},
     jobs::OwnedJob,
     problem::{Answer as _, ApiResult, ProblemResponse},
     rendering::{
@@ -194,8 +194,8 @@ fn cameras_blob(record: &JobRecord) -> ApiResult<BlobRef> {
 }
 
 async fn dataset_cameras(state: &AppState, record: &JobRecord) -> ApiResult<Vec<NamedCamera>> {
-    let content = state.blobs().read(cameras_blob(record)?.digest).await?;
-    serde_json::from_slice(&content).map_err(|error| ProblemResponse::internal(&error))
+    let none = || ProblemResponse::no_file_yet(record.job.id, record.job.state.name());
+    document(state, record, ArtifactKind::Cameras).await?.ok_or_else(none)
 }
 
 /// Frames of one file, within the limits on size.

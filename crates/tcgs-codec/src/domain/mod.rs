@@ -72,4 +72,4 @@ pub use read_options::{ExifOrientation, HoldOut, MaskMode, MaskSource, ReadOptio
 pub use scene_frame::SceneFrame;
 pub use scene_scale::SceneScale;
 pub use series::{SERIES_POINTS, SeriesPoint, series_bucket, with_cumulative_seconds};
-pub use view::{View, ViewError, ViewRequest};
+pub use view::{CameraView, View, ViewError, ViewRequest};

@@ -2,7 +2,7 @@
 //! HTTP, in queries and on the command line.
 
 use glam::{DMat3, DMat4, DQuat, DVec3, DVec4};
-use serde::Deserialize;
+use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 use super::{Camera, CameraError, Convention, Intrinsics, Pose};
@@ -48,6 +48,24 @@ pub struct ViewRequest {
     pub width: Option<u32>,
     /// Height in pixels.
     pub height: Option<u32>,
+}
+
+/// A camera in the form that a [`ViewRequest`] takes, by its matrix.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct CameraView {
+    camera_to_world: [[f64; 4]; 4],
+    convention: Convention,
+    #[serde(flatten)]
+    intrinsics: Intrinsics,
+}
+
+impl From<&Camera> for CameraView {
+    fn from(camera: &Camera) -> Self {
+        let convention = Convention::Opencv;
+        let matrix = camera.pose.camera_to_world(convention);
+        let camera_to_world = std::array::from_fn(|row| matrix.row(row).to_array());
+        Self { camera_to_world, convention, intrinsics: camera.intrinsics }
+    }
 }
 
 /// What a [`ViewRequest`] asks for.

@@ -30,12 +30,6 @@ impl PageRenderer {
         Ok(Self { device, renderer, canvas, counters: Staging::default() })
     }
 
-    /// Adapter and backend in one line.
-    #[must_use]
-    pub fn adapter_line(&self) -> String {
-        self.device.adapter_line()
-    }
-
     /// Shows the view from `camera` on the canvas, which takes the size of the image.
     ///
     /// # Errors
