@@ -66,7 +66,7 @@ fn number(value: &Value) -> f64 {
 fn anchors_are_baked_and_the_loss_is_said_with_and_without_a_dataset() {
     let folder = tempfile::tempdir().expect("a folder");
     let (file, dataset) = (scene_file(folder.path()), folder.path().join("photographs"));
-    sample::write(&dataset, &Settings { side: 32, points: 300, seed: 1 }).expect("writes");
+    sample::write(&dataset, &Settings { points: 300, ..Settings::square(32) }).expect("writes");
     for format in ["ply", "spz", "spz3", "glb", "usda", "sog"] {
         let out = folder.path().join(format!("out.{format}"));
         let said = answers(line!["export", file, "--format", format, "-o", out, "--json"]);
@@ -191,7 +191,7 @@ fn plain_gaussians_go_from_one_format_to_the_other_and_lower_degrees_are_smaller
 fn an_export_is_turned_and_scaled_and_looks_the_same_from_there() {
     let folder = tempfile::tempdir().expect("a folder");
     let (file, dataset) = (scene_file(folder.path()), folder.path().join("photographs"));
-    sample::write(&dataset, &Settings { side: 32, points: 300, seed: 1 }).expect("writes");
+    sample::write(&dataset, &Settings { points: 300, ..Settings::square(32) }).expect("writes");
     let [whole, placed, packed] =
         ["whole.ply", "placed.ply", "placed.spz"].map(|name| folder.path().join(name));
     let in_place = answers(line!["export", file, "-o", whole, "--dataset", dataset, "--json"]);

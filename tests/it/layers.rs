@@ -92,7 +92,7 @@ const EXTERNAL: &[(&str, &[&str])] = &[
     ("zip", &["export", "ingest", "sample"]),
     ("unicode_normalization", &["ingest"]),
     ("kiddo", &["init"]),
-    ("jpeg_encoder", &["picture"]),
+    ("jpeg_encoder", &["picture", "sample"]),
     ("crc32fast", &["picture"]),
     ("ndarray", &["lpips"]),
     ("flate2", &["export", "viewer_page"]),

@@ -10,14 +10,14 @@ use tcgs::{
 
 use crate::support::small_disk::SmallDisk;
 
-const SMALL: Settings = Settings { side: 128, points: 3000, seed: 1 };
+const SMALL: Settings = Settings { points: 3000, ..Settings::square(128) };
 
 #[cfg(target_os = "linux")]
 #[test]
 fn a_disk_that_fills_keeps_nothing_of_a_scene() {
     let Some(disk) = SmallDisk::mount(1) else { return };
     disk.fill();
-    let enough = Settings { side: 16, points: 50, seed: 1 };
+    let enough = Settings { points: 50, ..Settings::square(16) };
     for name in ["scene.zip", "scene"] {
         // The second try meets the same disk, and not what the first one left.
         for _ in 0..2 {

@@ -50,7 +50,7 @@ fn check_file(file: &Path, dataset: &Path, metrics: &Value) {
 fn scaffold_is_written_as_floats_and_every_command_takes_its_file() {
     let folder = tempfile::tempdir().expect("a folder");
     let (dataset, file) = (folder.path().join("scene"), folder.path().join("out.safetensors"));
-    sample::write(&dataset, &Settings { side: 32, points: 300, seed: 1 }).expect("writes");
+    sample::write(&dataset, &Settings { points: 300, ..Settings::square(32) }).expect("writes");
     let metrics = answers(line![
         "train",
         dataset,
@@ -93,7 +93,7 @@ fn scaffold_is_written_as_floats_and_every_command_takes_its_file() {
 fn plain_gaussians_are_written_as_ply_and_every_command_takes_their_file() {
     let folder = tempfile::tempdir().expect("a folder");
     let (dataset, file) = (folder.path().join("scene"), folder.path().join("out.ply"));
-    sample::write(&dataset, &Settings { side: 32, points: 300, seed: 1 }).expect("writes");
+    sample::write(&dataset, &Settings { points: 300, ..Settings::square(32) }).expect("writes");
     let metrics = answers(line![
         "train",
         dataset,

@@ -25,7 +25,7 @@ const MATRIX: &str = "benches/report-small.toml";
 const MAX_WAIT: Duration = Duration::from_secs(300);
 
 fn write_set(path: &Path) {
-    sample::write(path, &Settings { side: 16, points: 60, seed: 1 }).expect("writes");
+    sample::write(path, &Settings { points: 60, ..Settings::square(16) }).expect("writes");
 }
 
 fn lines(path: &Path) -> Vec<String> {

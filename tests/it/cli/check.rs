@@ -11,7 +11,7 @@ use crate::support::program::{answers, succeeds, tcgs};
 fn a_dataset_is_described_or_refused_with_the_file_that_is_wrong() {
     let folder = tempfile::tempdir().expect("a folder");
     let (scene, zip) = (folder.path().join("scene"), folder.path().join("scene.zip"));
-    let settings = sample::Settings { side: 16, points: 50, seed: 1 };
+    let settings = sample::Settings { points: 50, ..sample::Settings::square(16) };
     for place in [&scene, &zip] {
         sample::write(place, &settings).expect("writes");
     }
@@ -59,7 +59,8 @@ fn a_dataset_is_described_or_refused_with_the_file_that_is_wrong() {
 #[test]
 fn a_job_is_estimated_by_its_first_steps_and_what_is_unknown_is_noted() {
     let folder = tempfile::tempdir().expect("a folder");
-    sample::write(folder.path(), &sample::Settings { side: 16, points: 50, seed: 1 }).expect("writes");
+    sample::write(folder.path(), &sample::Settings { points: 50, ..sample::Settings::square(16) })
+        .expect("writes");
     let path = folder.path().to_str().expect("UTF-8");
     let estimate = |flags: &[&str]| answers([&["check", path, "--json"], flags].concat())["estimate"].clone();
 

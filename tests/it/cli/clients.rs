@@ -161,7 +161,7 @@ async fn a_folder_is_packed_on_the_way_and_waited_for() {
     let server = Server::start(&Coverage::default()).await;
     let folder = tempfile::tempdir().expect("a folder");
     let scene = folder.path().join("scene");
-    sample::write(&scene, &sample::Settings { side: 16, points: 50, seed: 1 }).expect("writes");
+    sample::write(&scene, &sample::Settings { points: 50, ..sample::Settings::square(16) }).expect("writes");
     let url = format!("http://{}", server.address);
     let submit =
         || run(line!["submit", scene, "--server", url, "--wait", "--rd-curve", "0.001,0.004", "--json"]);
@@ -190,7 +190,7 @@ async fn a_dataset_is_checked_before_it_is_sent() {
     let server = Server::start(&Coverage::default()).await;
     let folder = tempfile::tempdir().expect("a folder");
     let scene = folder.path().join("scene");
-    sample::write(&scene, &sample::Settings { side: 16, points: 50, seed: 1 }).expect("writes");
+    sample::write(&scene, &sample::Settings { points: 50, ..sample::Settings::square(16) }).expect("writes");
     fs::remove_file(scene.join("images/view_07.png")).expect("removes");
     let submit = line!["submit", scene, "--server", format!("http://{}", server.address), "--json"];
     let refused = failed(&run(submit.clone()).await, 3);
@@ -477,7 +477,7 @@ async fn a_large_dataset_goes_in_parts_and_becomes_a_job_of_a_scene() {
     let folder = tempfile::tempdir().expect("a folder");
     let url = format!("http://{}", server.address);
     let zip = folder.path().join("scene.zip");
-    sample::write(&zip, &sample::Settings { side: 16, points: 50, seed: 1 }).expect("writes");
+    sample::write(&zip, &sample::Settings { points: 50, ..sample::Settings::square(16) }).expect("writes");
     let bytes = fs::metadata(&zip).expect("a file").len();
     for part in [bytes / 4, bytes - 1] {
         let line =
@@ -565,7 +565,7 @@ async fn a_dataset_is_submitted_to_a_service_that_is_busy_or_still_checks_it() {
     tokio::spawn(async move { axum::serve(listener, app).await });
     let folder = tempfile::tempdir().expect("a folder");
     let zip = folder.path().join("scene.zip");
-    sample::write(&zip, &sample::Settings { side: 16, points: 50, seed: 1 }).expect("writes");
+    sample::write(&zip, &sample::Settings { points: 50, ..sample::Settings::square(16) }).expect("writes");
     let part = (fs::metadata(&zip).expect("a file").len() / 2).to_string();
     let submitted = run(line!["submit", zip, "--server", url, "--part-bytes", part, "--json"]).await;
     assert_eq!(succeeded(&submitted)["state"], "queued");

@@ -69,7 +69,7 @@ async fn the_first_key_says_what_it_changes_and_the_default_project_is_known_by_
     let data = folder.path().join("data");
     let service = Service::start_with(&data, ["--workers", "0"]).await;
     let archive = folder.path().join("scene.zip");
-    sample::write(&archive, &Settings { side: 16, points: 50, seed: 1 }).expect("written");
+    sample::write(&archive, &Settings { points: 50, ..Settings::square(16) }).expect("written");
     service.upload("", std::fs::read(archive).expect("readable")).await.expect(201);
     let create = |arguments: &[&str]| {
         let data = data.display().to_string();

@@ -119,14 +119,15 @@ fn frames_of_a_video_are_photographs_and_a_broken_one_is_refused() {
     let folder = tempfile::tempdir().expect("a folder");
     let path = |name: &str| folder.path().join(name).to_str().expect("UTF-8").to_owned();
     let video = path("walk.mp4");
-    let made = Command::new("ffmpeg")
-        .args(["-loglevel", "error", "-f", "lavfi", "-i", "testsrc=duration=2:rate=10:size=320x240"])
-        .args(["-c:v", "mpeg4", &video])
-        .status();
-    if !made.is_ok_and(|status| status.success()) {
+    if !Command::new("ffmpeg").arg("-version").output().is_ok_and(|output| output.status.success()) {
         skip("there is no ffmpeg: scripts/setup.sh --for-videos");
         return;
     }
+    let refused = tcgs(["sample", &video, "--side", "63", "--views", "20"]);
+    assert_eq!(refused.status.code(), Some(3));
+    assert!(String::from_utf8_lossy(&refused.stderr).contains("63x63 pixels have an odd side"));
+    let told = succeeds(["sample", &video, "--size", "64x48", "--views", "20"]);
+    assert!(told.contains("20 frames"), "{told}");
     // An interpreter that tells the request, and whether its photographs are there.
     let script = r#"#!/bin/sh
         folder=$(sed -n 's/.*"photographs":"\([^"]*\)".*/\1/p' "$3")

@@ -10,7 +10,7 @@ use crate::support::program::answers;
 fn a_profile_shows_every_stage_of_a_step_and_leaves_the_file_as_it_was() {
     let folder = tempfile::tempdir().expect("a folder");
     let dataset = folder.path().join("scene");
-    sample::write(&dataset, &Settings { side: 32, points: 300, seed: 1 }).expect("writes");
+    sample::write(&dataset, &Settings { points: 300, ..Settings::square(32) }).expect("writes");
     let train = |name: &str, flags: &[&str]| {
         let file = folder.path().join(name);
         let mut line: Vec<&OsStr> = vec!["train".as_ref(), dataset.as_ref(), "-o".as_ref(), file.as_ref()];

@@ -43,7 +43,7 @@ pub(crate) async fn finishes(mut command: Command) -> Output {
 
 fn scene(folder: &Path) -> std::path::PathBuf {
     let path = folder.join("sample.zip");
-    sample::write(&path, &Settings { side: 16, points: 50, seed: 1 }).expect("writes");
+    sample::write(&path, &Settings { points: 50, ..Settings::square(16) }).expect("writes");
     path
 }
 

@@ -20,7 +20,7 @@ async fn the_client_in_python_trains_a_scene_at_the_real_service() {
     }
     let folder = tempfile::tempdir().expect("a folder");
     let at = |name: &str| folder.path().join(name);
-    sample::write(&at("scene.zip"), &Settings { side: 24, points: 100, seed: 1 }).expect("writes");
+    sample::write(&at("scene.zip"), &Settings { points: 100, ..Settings::square(24) }).expect("writes");
     let service = Service::start(&at("data")).await;
     let mut client = Command::new("python3");
     client.arg(concat!(env!("CARGO_MANIFEST_DIR"), "/examples/client.py")).arg(at("scene.zip"));

@@ -69,7 +69,7 @@ impl Scene {
     fn written(&self, name: &str) -> PathBuf {
         let path = self.at(name);
         if !path.exists() {
-            sample::write(&path, &Settings { side: SIDE, points: 400, seed: 1 }).expect("writes");
+            sample::write(&path, &Settings { points: 400, ..Settings::square(SIDE) }).expect("writes");
         }
         path
     }
@@ -174,7 +174,7 @@ async fn refusals(service: &Service, scene: &Scene) {
     std::fs::write(&cut, half).expect("writes");
     assert_eq!(tcgs(line!["train", cut, "-o", out]).status.code(), Some(3));
     let incomplete = scene.at("incomplete");
-    sample::write(&incomplete, &Settings { side: 16, points: 10, seed: 1 }).expect("writes");
+    sample::write(&incomplete, &Settings { points: 10, ..Settings::square(16) }).expect("writes");
     std::fs::remove_file(incomplete.join("images/view_07.png")).expect("removed");
     let refused = tcgs(line!["train", incomplete, "-o", out]);
     assert_eq!(refused.status.code(), Some(3));
@@ -271,7 +271,7 @@ fn check_evaluation(scene: &Scene, file: &Path, job: &Value) {
     assert_eq!((pair.width(), pair.height()), (2 * SIDE, SIDE), "photograph and render, side by side");
 
     let other = scene.at("other");
-    sample::write(&other, &Settings { side: 16, points: 10, seed: 1 }).expect("writes");
+    sample::write(&other, &Settings { points: 10, ..Settings::square(16) }).expect("writes");
     let foreign = tcgs(line!["eval", file, other, "--per-view"]);
     let text = String::from_utf8_lossy(&foreign.stdout).into_owned();
     assert!(text.contains("LPIPS: not measured") && text.contains("\nimages/view_06.png  "), "{text}");

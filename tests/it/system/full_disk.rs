@@ -49,7 +49,7 @@ async fn cancel(service: &Service, job: &str) -> crate::support::server::Answer 
 fn damaged_zip() -> Vec<u8> {
     let folder = tempfile::tempdir().expect("a folder");
     let scene = folder.path().join("scene");
-    sample::write(&scene, &Settings { side: 16, points: 100, seed: 1 }).expect("writes");
+    sample::write(&scene, &Settings { points: 100, ..Settings::square(16) }).expect("writes");
     let mut folders = vec![scene.clone()];
     while let Some(folder) = folders.pop() {
         for entry in std::fs::read_dir(folder).expect("a folder") {

@@ -35,7 +35,7 @@ impl Setup {
     fn new() -> Self {
         let folder = tempfile::tempdir().expect("a folder");
         let scene = folder.path().join("scene");
-        sample::write(&scene, &Settings { side: 16, points: 100, seed: 1 }).expect("writes");
+        sample::write(&scene, &Settings { points: 100, ..Settings::square(16) }).expect("writes");
         let dataset = Dataset::load(&scene).expect("a dataset");
         write_model(&dataset, &folder.path().join("model"));
         let mut photographs = Cursor::new(Vec::new());

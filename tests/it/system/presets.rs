@@ -16,7 +16,8 @@ use crate::support::gpu::choice;
 
 static DATASET: LazyLock<TempDir> = LazyLock::new(|| {
     let folder = tempfile::tempdir().expect("a folder");
-    sample::write(&folder.path().join("set"), &Settings { side: 16, points: 80, seed: 1 }).expect("writes");
+    sample::write(&folder.path().join("set"), &Settings { points: 80, ..Settings::square(16) })
+        .expect("writes");
     folder
 });
 

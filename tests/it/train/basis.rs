@@ -21,7 +21,7 @@ fn run(dataset: &std::path::Path, options: &TrainOptions) -> JobOutput {
 fn a_short_run_keeps_its_picture_in_the_features_own_basis_and_its_file_is_smaller() {
     let folder = tempfile::tempdir().expect("a folder");
     let dataset = folder.path().join("set");
-    sample::write(&dataset, &Settings { side: 48, points: 1000, seed: 1 }).expect("writes");
+    sample::write(&dataset, &Settings { points: 1000, ..Settings::square(48) }).expect("writes");
     let whole = TrainOptions { iterations: Some(60), seed: 5, ..TrainOptions::default() };
     let learnt = run(&dataset, &TrainOptions { without: [Component::Basis].into(), ..whole.clone() });
     let pruned = run(&dataset, &whole);

@@ -26,7 +26,8 @@ const STEPS: u32 = 90;
 
 static DATASET: LazyLock<TempDir> = LazyLock::new(|| {
     let folder = tempfile::tempdir().expect("a folder");
-    sample::write(&folder.path().join("set"), &Settings { side: 40, points: 300, seed: 1 }).expect("writes");
+    sample::write(&folder.path().join("set"), &Settings { points: 300, ..Settings::square(40) })
+        .expect("writes");
     folder
 });
 

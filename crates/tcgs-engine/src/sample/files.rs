@@ -1,34 +1,26 @@
-//! Writes the scene in nerfstudio's layout (`transforms.json`, `images/*.png`, `sparse_pc.ply`), as a folder or as
-//! the zip that the service takes.
+//! Writes the scene in nerfstudio's layout (`transforms.json`, `images/*.png`, `sparse_pc.ply`), or as bare photographs (`*.jpg`), as a
+//! folder or as the zip that the service takes.
 
-use std::{
-    fs,
-    io::{Cursor, Write},
-    path::Path,
-};
+use std::path::Path;
 
 use image::{ExtendedColorType, ImageEncoder, codecs::png::PngEncoder};
 use serde_json::json;
-use zip::{CompressionMethod, ZipWriter, write::SimpleFileOptions};
 
-use super::{SampleCounts, SampleError, Settings, points, scene::Scene, views};
+use super::{SampleCounts, SampleError, Settings, output::Output, points, scene::Scene, views};
 use crate::domain::{Camera, Convention, Image, PointCloud};
 
 /// Folder of the images, and file of the points, inside the scene's folder.
 const IMAGES: &str = "images";
 const POINTS: &str = "sparse_pc.ply";
 
-/// The files of the scene by name, in the order in which they are to be written.
-struct Files {
-    entries: Vec<(String, Vec<u8>)>,
-    written: SampleCounts,
-}
+/// Quality of bare photographs, as cameras write them.
+const JPEG_QUALITY: u8 = 92;
 
 /// Renders the scene and writes it to `path`: one zip if the name ends in `.zip`, else a folder, which must be
 /// empty or not exist yet.
 ///
 /// # Errors
-/// [`SampleError`]: something is there already, the side is impossible, or the file system refuses.
+/// [`SampleError`]: something is there already, the size is impossible, or the file system refuses.
 pub fn write(path: &Path, settings: &Settings) -> Result<SampleCounts, SampleError> {
     write_watched(path, settings, &mut |_, _| ())
 }
@@ -42,88 +34,45 @@ pub fn write_watched(
     settings: &Settings,
     watch: &mut dyn FnMut(usize, usize),
 ) -> Result<SampleCounts, SampleError> {
-    if !(8..=4096).contains(&settings.side) {
-        return Err(SampleError::Side(settings.side));
-    }
-    let is_zip = path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("zip"));
-    if is_zip && path.exists() {
-        return Err(SampleError::Exists(path.to_owned()));
-    }
-    if !is_zip && path.exists() && read_dir(path)?.next().is_some() {
-        return Err(SampleError::NotEmpty(path.to_owned()));
-    }
-    let files = files(settings, watch)?;
-    if is_zip {
-        write_file(path, &zip_bytes(&files.entries)?)?;
-        return Ok(files.written);
-    }
-    let mut written = Vec::new();
-    for (name, bytes) in &files.entries {
-        let file = path.join(name);
-        if let Err(error) = write_file(&file, bytes) {
-            // So that a second try, once there is room, finds the folder as empty as the first did. The first error counts.
-            written.iter().for_each(|file| drop(fs::remove_file(file)));
-            drop(fs::remove_dir(path.join(IMAGES)));
-            return Err(error);
-        }
-        written.push(file);
-    }
-    Ok(files.written)
+    settings.check()?;
+    let mut output = Output::create(path)?;
+    let written = write_to(&mut output, settings, watch)?;
+    output.finish()?;
+    Ok(written)
 }
 
-fn files(settings: &Settings, watch: &mut dyn FnMut(usize, usize)) -> Result<Files, SampleError> {
+/// One image at a time, since all of them may not fit into memory.
+fn write_to(
+    output: &mut Output,
+    settings: &Settings,
+    watch: &mut dyn FnMut(usize, usize),
+) -> Result<SampleCounts, SampleError> {
     let scene = Scene::still_life();
-    let cameras = views::cameras(settings.side);
-    let cloud = points::cloud(&scene, &cameras, settings.points, settings.seed);
-    let test = (0..cameras.len()).filter(|index| views::is_held_out(*index)).count();
-    let written = SampleCounts { train: cameras.len() - test, test, points: cloud.positions.len() };
-
-    let mut entries = Vec::with_capacity(cameras.len() + 2);
+    let cameras = views::cameras(settings);
     for (index, camera) in cameras.iter().enumerate() {
-        entries.push((image_name(index), png(&scene.render(camera))?));
+        let image = scene.render(camera);
+        let bytes = if settings.is_bare { jpeg(&image)? } else { png(&image)? };
+        output.write(&image_name(settings, index), &bytes)?;
         watch(index + 1, cameras.len());
     }
-    entries.push((POINTS.to_owned(), ply_bytes(&cloud)));
+    if settings.is_bare {
+        return Ok(SampleCounts { train: cameras.len(), test: 0, points: 0 });
+    }
+    let cloud = points::cloud(&scene, &cameras, settings.points, settings.seed);
+    output.write(POINTS, &ply_bytes(&cloud))?;
     // Last, so that a folder with this file is a whole scene.
-    entries.push(("transforms.json".to_owned(), transforms_json(&cameras).into_bytes()));
-    Ok(Files { entries, written })
+    output.write("transforms.json", transforms_json(settings, &cameras).as_bytes())?;
+    let test = (0..cameras.len()).filter(|index| views::is_held_out(*index)).count();
+    Ok(SampleCounts { train: cameras.len() - test, test, points: cloud.positions.len() })
 }
 
-fn io_error(path: &Path) -> impl FnOnce(std::io::Error) -> SampleError {
-    let path = path.to_owned();
-    move |source| SampleError::Io { path, source }
-}
-
-fn read_dir(path: &Path) -> Result<fs::ReadDir, SampleError> {
-    fs::read_dir(path).map_err(io_error(path))
-}
-
-fn write_file(path: &Path, bytes: &[u8]) -> Result<(), SampleError> {
-    if let Some(folder) = path.parent() {
-        fs::create_dir_all(folder).map_err(io_error(folder))?;
+fn image_name(settings: &Settings, index: usize) -> String {
+    let digits = (settings.views - 1).to_string().len().max(2);
+    if settings.is_bare {
+        format!("view_{index:0digits$}.jpg")
+    } else {
+        format!("{IMAGES}/view_{index:0digits$}.png")
     }
-    fs::write(path, bytes).map_err(|error| {
-        // A full disk leaves the beginning of the file, which is no use to anybody. The first error counts.
-        drop(fs::remove_file(path));
-        io_error(path)(error)
-    })
-}
-
-/// The entries as a zip without times, so that its bytes depend on theirs alone. Stored, since PNG is compressed.
-fn zip_bytes(entries: &[(String, Vec<u8>)]) -> Result<Vec<u8>, SampleError> {
-    let options = SimpleFileOptions::default()
-        .compression_method(CompressionMethod::Stored)
-        .last_modified_time(zip::DateTime::default());
-    let mut zip = ZipWriter::new(Cursor::new(Vec::new()));
-    for (name, bytes) in entries {
-        zip.start_file(name.as_str(), options)?;
-        zip.write_all(bytes).map_err(zip::result::ZipError::from)?;
-    }
-    Ok(zip.finish()?.into_inner())
-}
-
-fn image_name(index: usize) -> String {
-    format!("{IMAGES}/view_{index:02}.png")
 }
 
 fn png(image: &Image) -> Result<Vec<u8>, SampleError> {
@@ -133,18 +82,27 @@ fn png(image: &Image) -> Result<Vec<u8>, SampleError> {
     Ok(bytes)
 }
 
-fn transforms_json(cameras: &[Camera]) -> String {
+fn jpeg(image: &Image) -> Result<Vec<u8>, SampleError> {
+    let mut bytes = Vec::new();
+    let encoder = jpeg_encoder::Encoder::new(&mut bytes, JPEG_QUALITY);
+    let (width, height) = (image.width() as u16, image.height() as u16);
+    encoder.encode(image.samples(), width, height, jpeg_encoder::ColorType::Rgb)?;
+    Ok(bytes)
+}
+
+fn transforms_json(settings: &Settings, cameras: &[Camera]) -> String {
     let k = &cameras[0].intrinsics;
     let frames: Vec<_> = cameras
         .iter()
         .enumerate()
         .map(|(index, camera)| {
             let rows = camera.pose.camera_to_world(Convention::Opengl).transpose().to_cols_array_2d();
-            json!({ "file_path": image_name(index), "transform_matrix": rows })
+            json!({ "file_path": image_name(settings, index), "transform_matrix": rows })
         })
         .collect();
     let names = |held_out: bool| -> Vec<String> {
-        (0..cameras.len()).filter(|index| views::is_held_out(*index) == held_out).map(image_name).collect()
+        let chosen = (0..cameras.len()).filter(|index| views::is_held_out(*index) == held_out);
+        chosen.map(|index| image_name(settings, index)).collect()
     };
     let document = json!({
         "camera_model": "OPENCV",
@@ -174,12 +132,15 @@ fn ply_bytes(cloud: &PointCloud) -> Vec<u8> {
 
 #[cfg(test)]
 mod tests {
-    use std::io::Read;
+    use std::{
+        fs,
+        io::{Cursor, Read},
+    };
 
     use super::*;
     use crate::domain::Pose;
 
-    const SMALL: Settings = Settings { side: 16, points: 100, seed: 1 };
+    const SMALL: Settings = Settings { points: 100, ..Settings::square(16) };
 
     #[test]
     fn two_runs_write_the_same_bytes_and_the_zip_holds_the_folder() {
@@ -215,13 +176,17 @@ mod tests {
         assert!(matches!(write(&zip, &SMALL), Err(SampleError::Exists(_))));
         assert_eq!(fs::read(&zip).expect("a file"), b"mine");
         assert_eq!(fs::read_dir(folder.path()).expect("a folder").count(), 2);
-        assert!(matches!(write(folder.path(), &Settings { side: 0, ..SMALL }), Err(SampleError::Side(0))));
+        let impossible = Settings { height: 0, ..SMALL };
+        assert!(matches!(write(folder.path(), &impossible), Err(SampleError::Size(16, 0))));
+        assert!(matches!(write(folder.path(), &Settings { views: 2, ..SMALL }), Err(SampleError::Views(2))));
     }
 
     #[test]
     fn transforms_give_back_the_cameras_that_rendered() {
-        let cameras = views::cameras(16);
-        let document: serde_json::Value = serde_json::from_str(&transforms_json(&cameras)).expect("JSON");
+        let settings = Settings { width: 24, ..SMALL };
+        let cameras = views::cameras(&settings);
+        let document: serde_json::Value =
+            serde_json::from_str(&transforms_json(&settings, &cameras)).expect("JSON");
         for (camera, frame) in cameras.iter().zip(document["frames"].as_array().expect("frames")) {
             let rows: [[f64; 4]; 4] =
                 serde_json::from_value(frame["transform_matrix"].clone()).expect("a matrix");
@@ -233,5 +198,19 @@ mod tests {
             let (a, b) = (camera.project(point).expect("in front"), same.project(point).expect("in front"));
             assert!(a.0.distance(b.0) < 1e-6);
         }
+    }
+    #[test]
+    fn bare_photographs_are_as_many_and_as_large_as_asked_for() {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let settings = Settings { width: 32, height: 16, views: 101, is_bare: true, ..SMALL };
+        let written = write(folder.path(), &settings).expect("writes");
+        assert_eq!(written, SampleCounts { train: 101, test: 0, points: 0 });
+        let mut names: Vec<_> =
+            fs::read_dir(folder.path()).expect("a folder").flatten().map(|entry| entry.path()).collect();
+        names.sort();
+        assert_eq!(names.len(), 101);
+        assert!(names[7].ends_with("view_007.jpg"), "{names:?}");
+        let size = image::image_dimensions(&names[100]).expect("a picture");
+        assert_eq!(size, (32, 16));
     }
 }

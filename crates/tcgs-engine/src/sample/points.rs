@@ -65,12 +65,12 @@ fn is_in_image(camera: &Camera, point: DVec3) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::sample::views;
+    use crate::sample::{Settings, views};
 
     #[test]
     fn the_cloud_is_seeded_and_its_colors_are_what_the_cameras_see() {
         let scene = Scene::still_life();
-        let cameras = views::cameras(96);
+        let cameras = views::cameras(&Settings::square(96));
         let cloud = cloud_of(&scene, &cameras, 7);
         assert_eq!(cloud, cloud_of(&scene, &cameras, 7));
         assert_ne!(cloud, cloud_of(&scene, &cameras, 8));
