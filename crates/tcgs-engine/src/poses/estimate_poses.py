@@ -28,6 +28,8 @@ MAX_EXHAUSTIVE = 200
 KEY_FRAMES = 60
 # Longest side, in pixels, at which features are looked for.
 MAX_FEATURE_SIDE = 1600
+# Contrast of the weakest feature, as a share of COLMAP's own: a scene starts from the points, and twice the features give half as many more.
+PEAK_SHARE = 0.5
 # Fewest features of a usable photograph, in the median.
 MIN_FEATURES = 100
 # Photographs whose pairs are matched between two reports of progress.
@@ -162,6 +164,18 @@ def loop_pairs(names):
     return [(a, b) for place, a in enumerate(keys) for b in keys[place + 1 :]]
 
 
+def all_points(pycolmap, model, database, folder, work, seed):
+    """The model with points found anew from its cameras, those of only two photographs among them. Mapping leaves these out, since they
+    would not hold cameras; a scene starts from them."""
+    options = pycolmap.IncrementalPipelineOptions()
+    options.num_threads = options.mapper.num_threads = 1
+    options.random_seed = options.mapper.random_seed = options.triangulation.random_seed = seed
+    options.triangulation.ignore_two_view_tracks = False
+    to = work / "points"
+    to.mkdir()
+    return pycolmap.triangulate_points(pycolmap.Reconstruction(model), database, folder, to, True, options, False)
+
+
 def upright(pycolmap, numpy, model):
     """Turns the model so that the common up of its cameras is -y, as of a level first camera."""
     ups = [-image.cam_from_world().rotation.matrix()[1] for image in model.images.values() if image.has_pose]
@@ -210,6 +224,7 @@ def main():
     reader.camera_model = request["camera_model"]
     extraction = pycolmap.FeatureExtractionOptions()
     extraction.num_threads, extraction.max_image_size, extraction.use_gpu = threads, MAX_FEATURE_SIDE, False
+    extraction.sift.peak_threshold *= PEAK_SHARE
     progress.begin("features", len(names))
     pycolmap.Database.open(database).close()
     groups = devices(pycolmap, folder, names)
@@ -299,10 +314,12 @@ def main():
     if not models:
         fail("no-overlap", "no two photographs overlap enough, from places far enough apart, to begin with")
     model = max(models.values(), key=lambda model: model.num_reg_images())
+    # Of the points that hold the cameras: those of two photographs nearly always agree.
+    error = model.compute_mean_reprojection_error()
+    model = all_points(pycolmap, model, database, folder, work, seed)
     upright(pycolmap, numpy, model)
     (work / "sparse" / "0").mkdir(parents=True)
     model.write(work / "sparse" / "0")
-    error = model.compute_mean_reprojection_error()
     say(stage="mapping", done=model.num_reg_images(), total=len(names), reprojection_error=error)
     found = sorted(image.name for image in model.images.values() if image.has_pose)
     say(
