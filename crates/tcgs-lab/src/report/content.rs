@@ -11,6 +11,7 @@ use super::{
     section::{Block, NONE, Row, Section, Table, texts},
     summary::{CurveDifference, FIGURES, Group, LEVELS},
     sweep::SweepRecord,
+    worst_views::worst_tenth,
 };
 
 /// What a report is made from.
@@ -71,6 +72,7 @@ impl ReportContent<'_> {
             ("Runs", self.runs()),
             ("Against the first model", self.to_first()),
             ("Equal seconds", self.equal_seconds()),
+            ("Worst views", self.worst_views()),
             ("Quality against time", against_time),
             ("Where the bytes go", self.bytes()),
             ("Quality against size", against_size),
@@ -141,6 +143,33 @@ impl ReportContent<'_> {
         }
         let note = "Pairs of runs of equal seed, set and steps. * marks differences whose interval excludes zero. Ratios of times are \
             taken only between runs of one session of this command, which makes models of one seed one after another.";
+        vec![Block::Table(Table::new(head, rows)), Block::Note(note.to_owned())]
+    }
+
+    /// How far the worst held-out views lie below the mean.
+    fn worst_views(&self) -> Vec<Block<'_>> {
+        let head = texts(&[
+            "set",
+            "model",
+            "preset",
+            "steps",
+            "seeds",
+            "PSNR dB",
+            "worst tenth dB",
+            "below the mean dB",
+        ]);
+        let worst = |run: &RunRecord| worst_tenth(&run.metrics.test);
+        let below = |run: &RunRecord| Some(run.metrics.test.psnr? - worst(run)?);
+        let measured = self.groups.iter().filter(|group| group.estimate(worst).is_some());
+        let rows = measured.map(|group| {
+            let mut row = of_group(group);
+            row.push(shown(group.estimate(|run| run.metrics.test.psnr), 2));
+            row.push(shown(group.estimate(worst), 2));
+            row.push(shown(group.estimate(below), 2));
+            row
+        });
+        let note = "The mean over the tenth of the held-out views with the lowest PSNR, at least one: views that look into reflections, \
+            or at what few photographs show.";
         vec![Block::Table(Table::new(head, rows)), Block::Note(note.to_owned())]
     }
 

@@ -8,6 +8,7 @@ use super::{
     record::RunRecord,
     summary::{Group, LEVELS},
     sweep::SweepRecord,
+    worst_views::worst_tenth,
 };
 
 /// The header of the survey's files.
@@ -49,6 +50,7 @@ fn columns(run: &RunRecord) -> Vec<(String, String)> {
         ("least_decode_seconds", run.least_decode_seconds().to_string()),
         ("ms_per_view", optional(run.render_seconds.map(|seconds| 1e3 * seconds))),
         ("high_band_error", optional(run.high_band)),
+        ("worst_tenth_psnr", optional(worst_tenth(&run.metrics.test))),
     ];
     let levels = LEVELS.map(|level| (format!("seconds_to_{level}_db"), optional(run.seconds_to(level))));
     let metrics = metrics_columns(&run.metrics).into_iter().map(|(name, value)| (name.to_owned(), value));

@@ -14,3 +14,4 @@ pub mod section;
 pub mod summary;
 pub mod sweep;
 pub mod variant;
+pub mod worst_views;
