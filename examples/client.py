@@ -321,5 +321,5 @@ def main():
 if __name__ == "__main__":
     try:
         main()
-    except (Refused, requests.RequestException) as fault:
+    except (Refused, OSError) as fault:  # OSError: of files, and of requests
         sys.exit(f"client: {fault}")

@@ -11,7 +11,7 @@ use tcgs_lab::lpips::Lpips;
 
 use super::{
     CliError, Report, adapter::AdapterFlag, files, lpips::LpipsFlag, notice::notice, picture,
-    reading::ReadFlags, wiring,
+    reading::ReadFlags, train::MEASURED, wiring,
 };
 
 /// Arguments of `tcgs eval`.
@@ -153,7 +153,7 @@ fn text(metrics: &Metrics) -> String {
          time      {:.2} s decoding, {:.2} s rendering\n\
          adapter   {}\n\
          decoded   {}\n\
-         measured  {}",
+         measured  {MEASURED}",
         metrics.test.views,
         metrics.background,
         metrics.bytes.total,
@@ -163,7 +163,6 @@ fn text(metrics: &Metrics) -> String {
         metrics.seconds.render,
         metrics.adapter,
         metrics.decode_sha256,
-        metrics.conventions,
     )
 }
 

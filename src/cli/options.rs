@@ -4,7 +4,10 @@ use clap::{
     Arg, ArgAction, ArgMatches, Args, Command, Error, FromArgMatches, builder::PossibleValuesParser,
     error::ErrorKind,
 };
-use tcgs::domain::{Bytes, TRAIN_OPTIONS, TrainOption, TrainOptions, options::OptionKind};
+use tcgs::{
+    domain::{Bytes, TRAIN_OPTIONS, TrainOption, TrainOptions, options::OptionKind},
+    pipeline::checked_options,
+};
 
 use super::CliError;
 
@@ -19,7 +22,7 @@ impl TrainFlags {
 
     /// The options, if a run can have them.
     pub(super) fn validated(&self) -> Result<TrainOptions, CliError> {
-        Ok(self.0.clone().validated()?)
+        Ok(checked_options(self.0.clone())?)
     }
 }
 

@@ -31,10 +31,6 @@ impl Display {
             return Self::Lines { last: None };
         }
         let bar = ProgressBar::with_draw_target(Some(0), ProgressDrawTarget::stderr());
-        let style = ProgressStyle::with_template("{prefix} {bar:10} {pos}/{len}  {wide_msg}")
-            .expect("the template is well formed")
-            .progress_chars("=>-");
-        bar.set_style(style);
         bar.enable_steady_tick(Duration::from_millis(500));
         Self::Bar(bar)
     }
@@ -43,11 +39,14 @@ impl Display {
     pub(crate) fn show(&mut self, phase: Phase, progress: &Progress) {
         match self {
             Self::Bar(bar) => {
+                let counts = counts(phase, progress);
+                bar.set_style(style(counts.is_some()));
                 bar.set_prefix(phase.name());
-                let (done, total) = counts(progress);
-                bar.set_length(total);
-                bar.set_position(done);
-                bar.set_message(headline(progress).join("  "));
+                if let Some((done, total)) = counts {
+                    bar.set_length(total);
+                    bar.set_position(done);
+                }
+                bar.set_message(headline(phase, progress).join("  "));
             }
             Self::Lines { last } => {
                 if is_due(*last, phase, progress) {
@@ -66,17 +65,23 @@ impl Display {
     }
 }
 
+/// Of a phase with counts, or of one whose end is not known.
+fn style(is_counted: bool) -> ProgressStyle {
+    let template =
+        if is_counted { "{prefix} {bar:10} {pos}/{len}  {wide_msg}" } else { "{prefix} {spinner}" };
+    ProgressStyle::with_template(template).expect("the template is well formed").progress_chars("=>-")
+}
+
 fn is_due(last: Option<(Phase, f64)>, phase: Phase, progress: &Progress) -> bool {
     last.is_none_or(|(shown, at)| shown != phase || progress.elapsed_seconds - at >= SECONDS_BETWEEN_LINES)
 }
 
 fn line(phase: Phase, progress: &Progress) -> String {
     let mut text = format!("{:>6.1}s {}", progress.elapsed_seconds, phase.name());
-    let (done, total) = counts(progress);
-    if total > 0 {
+    if let Some((done, total)) = counts(phase, progress) {
         text.push_str(&format!(" {done}/{total}"));
     }
-    let figures = figures(progress);
+    let figures = figures(phase, progress);
     if !figures.is_empty() {
         text.push_str("  ");
         text.push_str(&figures);
@@ -84,17 +89,22 @@ fn line(phase: Phase, progress: &Progress) -> String {
     text
 }
 
-/// Steps that are done and all steps; of the search for cameras, photographs or pairs.
-fn counts(progress: &Progress) -> (u64, u64) {
-    progress.poses.map_or((progress.step, progress.total), |poses| (poses.done, poses.total))
+/// Steps that are done and all steps; of the search for cameras, photographs or pairs. Only training makes steps: what other phases
+/// report of them is left over from it.
+fn counts(phase: Phase, progress: &Progress) -> Option<(u64, u64)> {
+    let steps = || (phase == Phase::Train).then_some((progress.step, progress.total));
+    progress.poses.map(|poses| (poses.done, poses.total)).or_else(steps).filter(|(_, total)| *total > 0)
 }
 
 /// The stage of the search for cameras, or the time left, speed, quality and size, as far as known: what fits beside a bar on 80 columns.
-fn headline(progress: &Progress) -> Vec<String> {
+fn headline(phase: Phase, progress: &Progress) -> Vec<String> {
     let mut parts = Vec::new();
     if let Some(poses) = progress.poses {
         parts.push(poses.stage.name().to_owned());
         parts.extend(poses.reprojection_error.map(|error| format!("error {error:.2} px")));
+    }
+    if phase != Phase::Train {
+        return parts;
     }
     if let Some(eta) = progress.eta_seconds {
         let seconds = eta.max(0.0).round() as u64;
@@ -107,8 +117,11 @@ fn headline(progress: &Progress) -> Vec<String> {
 }
 
 /// The headline, then loss and counts.
-fn figures(progress: &Progress) -> String {
-    let mut parts = headline(progress);
+fn figures(phase: Phase, progress: &Progress) -> String {
+    let mut parts = headline(phase, progress);
+    if phase != Phase::Train {
+        return parts.join("  ");
+    }
     parts.extend(progress.loss.map(|loss| format!("loss {loss:.4}")));
     if progress.anchors > 0 {
         parts.push(format!("anchors {}", progress.anchors));
@@ -121,6 +134,8 @@ fn figures(progress: &Progress) -> String {
 
 #[cfg(test)]
 mod tests {
+    use tcgs::domain::{PoseProgress, PoseStage};
+
     use super::*;
 
     fn report() -> Progress {
@@ -152,6 +167,17 @@ mod tests {
     }
 
     #[test]
+    fn phases_after_training_repeat_none_of_its_figures() {
+        for phase in [Phase::Encode, Phase::Evaluate, Phase::Publish] {
+            assert_eq!(line(phase, &report()), format!("  14.2s {}", phase.name()));
+        }
+        let poses =
+            PoseProgress { stage: PoseStage::Matches, done: 3, total: 10, reprojection_error: Some(0.5) };
+        let searching = Progress { poses: Some(poses), ..Progress::default() };
+        assert_eq!(line(Phase::Poses, &searching), "   0.0s poses 3/10  matches  error 0.50 px");
+    }
+
+    #[test]
     fn the_headline_of_a_long_run_fits_beside_its_bar() {
         let long = Progress {
             step: 29_999,
@@ -163,8 +189,8 @@ mod tests {
             ..report()
         };
         let beside = "evaluate ".len() + 11 + "29999/30000  ".len();
-        assert_eq!(headline(&long).join("  "), "ETA 119:59  123.4 steps/s  34.57 dB  12346 kB");
-        assert!(beside + headline(&long).join("  ").len() <= 80);
+        assert_eq!(headline(Phase::Train, &long).join("  "), "ETA 119:59  123.4 steps/s  34.57 dB  12346 kB");
+        assert!(beside + headline(Phase::Train, &long).join("  ").len() <= 80);
     }
 
     #[test]

@@ -196,6 +196,9 @@ fn checkpoints(args: &Args) -> Result<CheckpointPlan, CliError> {
     Ok(CheckpointPlan { keep, resume: args.resume.clone().map_or(Resume::Fresh, Resume::From) })
 }
 
+/// How figures were measured, for people; JSON and reports have every convention.
+pub(super) const MEASURED: &str = "on 8-bit RGB of the decoded file; --json has every convention";
+
 /// The figures of a finished job, for people.
 pub(super) fn text(metrics: &JobMetrics) -> String {
     let figure = |value: Option<f64>, digits: usize, unit: &str| {
@@ -218,7 +221,7 @@ pub(super) fn text(metrics: &JobMetrics) -> String {
          time      {:.1} s training, {} steps, {:.2} steps/s; {:.2} s encoding, {:.2} s decoding\n\
          adapter   {}\n\
          decoded   {}\n\
-         measured  {}",
+         measured  {MEASURED}",
         figure(metrics.test.psnr, 2, " dB"),
         figure(metrics.test.ssim, 4, ""),
         metrics.test.lpips_network.map_or_else(String::new, |network| {
@@ -239,7 +242,6 @@ pub(super) fn text(metrics: &JobMetrics) -> String {
         metrics.seconds.decode,
         metrics.adapter,
         metrics.decode_sha256,
-        metrics.conventions,
     )
 }
 

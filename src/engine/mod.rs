@@ -8,7 +8,7 @@ use std::{path::Path, sync::Arc};
 use bytes::Bytes;
 pub use local::LocalEngine;
 
-pub use crate::pipeline::exported::PlacedExport;
+pub use crate::pipeline::{checked_options, exported::PlacedExport};
 use crate::{
     domain::{
         Camera, DatasetSummary, Digest, ExportedScene, JobNeeds, NamedCamera, Problem, ReadOptions,

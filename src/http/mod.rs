@@ -32,8 +32,8 @@ mod shares;
 mod state;
 mod uploads;
 mod usage;
-mod viewer;
 mod viewer_page;
+mod viewer_process;
 mod views;
 mod webhooks;
 
@@ -53,7 +53,7 @@ pub use origins::{AllowedOrigin, AllowedOrigins, InvalidOrigin};
 pub use server::{Listeners, ServeError, bind, serve};
 pub use services::Services;
 pub use state::AppState;
-pub use viewer::{ViewerConfig, ViewerServices, serve as serve_viewer};
+pub use viewer_process::{ViewerConfig, ViewerServices, serve as serve_viewer};
 
 /// Every route of the API.
 pub fn router(state: AppState) -> Router {

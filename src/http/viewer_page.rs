@@ -10,7 +10,7 @@ use axum::{
 
 use super::{
     auth::shared_link::OptionalLink,
-    files::{document, file_of},
+    files::{document, file_of, take_lambda},
     html,
     jobs::OwnedJob,
     problem::{Answer as _, ApiResult, ProblemResponse},
@@ -19,7 +19,7 @@ use super::{
 };
 use crate::{
     domain::{Digest, HeldOut, NamedCamera, Orbit, ProblemType, SceneFormat, Split},
-    store::{ArtifactKind, JobRecord},
+    store::{ArtifactKind, JobRecord, SceneArtifact},
     viewer_page::{Assets, FileLink, Links, Stop, ViewerScene, assets, served, served_policy},
 };
 
@@ -41,24 +41,26 @@ pub(super) async fn page(
     State(state): State<AppState>,
     OwnedJob(record): OwnedJob,
     link: OptionalLink,
-    parameters: Parameters,
+    mut parameters: Parameters,
     headers: HeaderMap,
 ) -> ApiResult {
+    let lambda = take_lambda(&mut parameters)?;
     parameters.finish()?;
     if !accepts(&headers, "text/html") {
         return Err(ProblemType::NotAcceptable.because("this page is served as text/html"));
     }
-    let etag = Etag::new(format!("{}-{}-viewer", record.job.version, *BUILD));
+    let file = file_of(&record, lambda)?;
+    let etag =
+        Etag::new(format!("{}-{}-{}", record.job.version, *BUILD, &file.blob.digest.to_string()[..16]));
     if etag.is_in_if_none_match(&headers) {
         return Ok(not_modified(&etag));
     }
-    let file = file_of(&record, None)?;
     let cameras: Vec<NamedCamera> =
         document(&state, &record, ArtifactKind::Cameras).await?.unwrap_or_default();
     let held_out: Option<HeldOut> = document(&state, &record, ArtifactKind::HeldOut).await?;
     let scene = ViewerScene {
-        links: Some(links(file.format, file.blob.bytes, &link)),
-        ..scene_of(&record, &cameras, held_out)?
+        links: Some(links(&file, &link)),
+        ..scene_of(&record, file.lambda, &cameras, held_out)?
     };
     let mut response = html::page(served(&scene), POLICY.clone())?;
     response.headers_mut().insert(header::ETAG, etag.value());
@@ -128,6 +130,7 @@ fn accepts_gzip(headers: &HeaderMap) -> bool {
 /// What the page shows of a job.
 fn scene_of(
     record: &JobRecord,
+    lambda: Option<f64>,
     cameras: &[NamedCamera],
     held_out: Option<HeldOut>,
 ) -> ApiResult<ViewerScene> {
@@ -144,24 +147,29 @@ fn scene_of(
             ProblemType::NotFound.because("this job kept no cameras, and the page needs one to begin with")
         );
     };
-    let title = record.name.clone().unwrap_or_else(|| format!("Scene {}", record.job.id));
+    let name = record.name.clone().unwrap_or_else(|| format!("Scene {}", record.job.id));
+    let title = lambda.map_or_else(|| name.clone(), |lambda| format!("{name}, λ = {lambda}"));
     Ok(ViewerScene { title, stops, center: orbit.center, up: orbit.up, links: None })
 }
 
 /// Where the page finds the rest.
-fn links(format: SceneFormat, bytes: u64, link: &OptionalLink) -> Links {
+fn links(file: &SceneArtifact, link: &OptionalLink) -> Links {
+    let SceneArtifact { format, lambda, blob } = *file;
     let root = if link.prefix.is_some() { ROOT_OF_LINK } else { ROOT };
+    // One of several files is asked for by its weight.
+    let query = lambda.map_or_else(String::new, |lambda| format!("?lambda={lambda}"));
+    let of_file = |name: &str| format!("{name}{query}");
     let why = match (format, assets()) {
         (SceneFormat::Tcgs, Some(_)) => None,
         (SceneFormat::Tcgs, None) => Some("This service was built without the viewer for browsers."),
         _ => Some("Browsers draw .tcgs files only."),
     };
     Links {
-        file: why.is_none().then(|| FileLink { href: "artifact".to_owned(), bytes }),
+        file: why.is_none().then(|| FileLink { href: of_file("artifact"), bytes: blob.bytes }),
         why: why.map(str::to_owned),
         module: format!("{root}/viewer/module.wasm"),
         worker: format!("{root}/viewer/worker.js"),
-        view: "view".to_owned(),
+        view: of_file("view"),
         report: "report".to_owned(),
     }
 }

@@ -109,6 +109,7 @@
 
   const show = (exact = false) => {
     atStop = exact;
+    stage.dataset.picture = 'coarse';
     const has = exact && Boolean(scene.stops[stop].photograph);
     wipe.hidden = photograph.hidden = !has;
     if (has) { photograph.src = `data:image/jpeg;base64,${scene.stops[stop].photograph}`; place(); }
@@ -126,6 +127,7 @@
       const ms = await draw(...size(full ? 1 : coarse), full);
       frames += 1;
       stage.dataset.frames = frames;
+      if (full && !wanted) stage.dataset.picture = 'full';
       if (ms && !full) coarse = clamp(coarse * Math.sqrt(AIM_MS / ms), 0.1, 1);
     } catch (fault) {
       say(fault.message);
@@ -214,7 +216,7 @@
         position: pose.position, look_at: add(pose.position, pose.ahead, pose.distance), up: pose.down.map(v => -v),
         fov: 2 * Math.atan(w / (2 * fx)) * 180 / Math.PI, width: w, height: h, format: 'jpeg',
       });
-      const answer = await fetch(`${scene.view}?${query}`);
+      const answer = await fetch(`${scene.view}${scene.view.includes('?') ? '&' : '?'}${query}`);
       if (answer.status === 429 || answer.status === 503) {
         await new Promise(done => setTimeout(done, 1000 * (Number(answer.headers.get('retry-after')) || 1)));
         wanted = wanted || 'coarse';

@@ -45,7 +45,7 @@ pub(crate) enum Verbosity {
 /// Starts logging for the rest of the process.
 pub(crate) fn start(format: Format, verbosity: Verbosity) {
     let default = match verbosity {
-        // Memory and duration of a run, and what was done to its photographs, are of interest to its user.
+        // Where a run resumes, and what was done to its photographs, are of interest to its user.
         Verbosity::Warn => "warn,tcgs_engine::train::trainer=info,tcgs_engine::pipeline=info",
         // The GPU crates' own messages at this level are of no use to an operator.
         Verbosity::Info => "info,wgpu_core=warn,wgpu_hal=warn,naga=warn",

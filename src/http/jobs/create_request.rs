@@ -10,6 +10,7 @@ use crate::{
         DatasetId, MAX_NAME, MAX_PRIORITY, Metadata, OptionError, ProblemType, TRAIN_OPTIONS, TrainOption,
         TrainOptions, valid_name,
     },
+    engine::checked_options,
     http::{
         problem::{Answer as _, ApiResult, ProblemResponse},
         request::{JsonBody, Parameters, parse_json, whole_numbers},
@@ -83,13 +84,13 @@ impl CreateJobRequest {
         if let Some(seconds) = self.deadline_s {
             check_deadline(seconds)?;
         }
-        Ok(Self { options: checked_options(self.options)?, ..self })
+        Ok(Self { options: possible(self.options)?, ..self })
     }
 }
 
 /// Options that may be those of a job.
-fn checked_options(options: TrainOptions) -> ApiResult<TrainOptions> {
-    options.validated().map_err(|error| invalid_option(&error))
+fn possible(options: TrainOptions) -> ApiResult<TrainOptions> {
+    checked_options(options).map_err(|error| invalid_option(&error))
 }
 
 /// The name of a job.
@@ -130,7 +131,7 @@ pub(super) fn changed_options(before: &TrainOptions, changes: Map<String, Value>
         }
     }
     fields.extend(changes);
-    checked_options(options(&fields)?)
+    possible(options(&fields)?)
 }
 
 /// The dataset that `dataset_id` and its earlier name, `scene_id`, name.

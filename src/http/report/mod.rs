@@ -1,6 +1,6 @@
 //! `GET /v1/jobs/{id}/report`: everything about a job on one page, or its figures as comma-separated values.
 //!
-//! Invariants: the page requests nothing from other hosts, and from this one only pictures, events and itself; it can be read without
+//! Invariants: the page requests nothing from other hosts, and from this one only pictures, events, links to share and itself; it can be read without
 //! scripts and printed; every text is escaped by its template; its content security policy allows only its own script and style,
 //! by their hashes.
 
@@ -8,7 +8,6 @@ mod bars;
 mod csv;
 mod curves;
 mod history;
-mod orbit;
 mod page;
 mod pictures;
 mod settings;
@@ -36,7 +35,7 @@ use super::{
     state::AppState,
 };
 use crate::{
-    domain::{HeldOut, NamedCamera, ProblemType},
+    domain::{HeldOut, ProblemType},
     store::ArtifactKind,
 };
 
@@ -78,10 +77,9 @@ pub(super) async fn get(
         return Ok(table(csv::table(&record, &history), &etag));
     }
     let held_out: Option<HeldOut> = document(&state, &record, ArtifactKind::HeldOut).await?;
-    let cameras: Option<Vec<NamedCamera>> = document(&state, &record, ArtifactKind::Cameras).await?;
     let policy = html::policy(script(&record.job).unwrap_or_default(), STYLE);
-    let cameras = cameras.unwrap_or_default();
-    let page = Page { record, history, held_out, cameras, link }.html();
+    let has_cameras = record.artifact(ArtifactKind::Cameras).is_some();
+    let page = Page { record, history, held_out, has_cameras, link }.html();
     let mut response = html::page(page, policy)?;
     response.headers_mut().insert(header::ETAG, etag.value());
     Ok(response)

@@ -1,4 +1,4 @@
-//! The whole page: the job's state, then its curves, sizes, views and settings, and the viewer.
+//! The whole page: the job's state, a picture that leads to the viewer, then curves, sizes, views and settings.
 
 use maud::{DOCTYPE, Markup, PreEscaped, html};
 
@@ -6,7 +6,6 @@ use super::{
     bars::bars,
     curves::curves,
     history::History,
-    orbit::Orbit,
     pictures::pictures,
     settings::settings,
     stages::stages,
@@ -14,8 +13,8 @@ use super::{
     units::{bytes, duration, figure, grouped, size},
 };
 use crate::{
-    domain::{HeldOut, Job, JobMetrics, NamedCamera, SceneFormat},
-    http::{auth::shared_link::OptionalLink, jobs::body::href},
+    domain::{HeldOut, HeldOutView, Job, JobMetrics, SceneFormat},
+    http::auth::shared_link::OptionalLink,
     store::JobRecord,
 };
 
@@ -25,7 +24,7 @@ pub(super) const STYLE: &str = include_str!("style.css");
 /// The script of a page, which has one or none; the policy that it is served under names its hash.
 pub(super) fn script(job: &Job) -> Option<&'static str> {
     if job.metrics.is_some() {
-        Some(VIEWER)
+        Some(SHARE)
     } else if job.state.is_terminal() {
         None
     } else {
@@ -33,7 +32,7 @@ pub(super) fn script(job: &Job) -> Option<&'static str> {
     }
 }
 
-const VIEWER: &str = concat!(include_str!("place.js"), include_str!("viewer.js"), include_str!("share.js"));
+const SHARE: &str = include_str!("share.js");
 const LIVE: &str = include_str!("live.js");
 
 /// What the page is made from.
@@ -42,7 +41,8 @@ pub(super) struct Page {
     pub(super) record: JobRecord,
     pub(super) history: History,
     pub(super) held_out: Option<HeldOut>,
-    pub(super) cameras: Vec<NamedCamera>,
+    /// Whether the job kept the cameras that the viewer begins with.
+    pub(super) has_cameras: bool,
     /// The shared link that it is shown by.
     pub(super) link: OptionalLink,
 }
@@ -93,8 +93,10 @@ impl Page {
         html! {
             @match &job.metrics {
                 Some(metrics) => {
-                    (summary(metrics))
-                    (self.viewer())
+                    section.top {
+                        (self.viewer())
+                        (summary(metrics))
+                    }
                     (curves(&self.record, &self.history))
                     (bars(&metrics.bytes, metrics.anchors, metrics.gaussians))
                     (stages(metrics))
@@ -128,33 +130,25 @@ impl Page {
         }
     }
 
+    /// The best of the held-out views, which leads to the page that turns the scene, and links to the other files of a curve.
     fn viewer(&self) -> Markup {
-        let Some(orbit) = Orbit::of(&self.cameras) else { return html! {} };
-        let Orbit { position, center, up, fov, aspect } = orbit;
-        let vector = |v: glam::DVec3| format!("{},{},{}", v.x, v.y, v.z);
+        if !self.has_cameras {
+            return html! {};
+        }
         let weights: Vec<f64> = self.record.scenes().filter_map(|scene| scene.lambda).collect();
-        // A picture for those without scripts; the viewer replaces it.
         let poster = self.held_out.as_ref().and_then(|sheet| sheet.views.last());
         html! {
-            section.viewer {
-                h2 { "Viewer" }
-                figure #viewer tabindex="0" aria-label="The scene; drag or use the arrow keys to turn it"
-                    data-href=(format!("{}{}/view", self.link.prefix.as_deref().unwrap_or_default(), href(self.record.job.id)))
-                    data-position=(vector(position)) data-center=(vector(center)) data-up=(vector(up))
-                    data-fov=(fov) data-aspect=(aspect) {
-                    @match poster {
-                        Some(view) => img src=(format!("data:image/jpeg;base64,{}", view.render)) alt=(format!("render of {}", view.score.name));,
-                        None => img alt="";,
+            div.viewer {
+                a #viewer href="viewer" {
+                    @if let Some(HeldOutView { render, width, height, .. }) = poster {
+                        img src=(format!("data:image/jpeg;base64,{render}")) width=(width) height=(height) alt="The scene";
                     }
-                    figcaption role="status" { "Turning the scene takes a browser with scripts; each picture is rendered by the service." }
+                    span { "Turn the scene" }
                 }
-                p { a href="viewer" { "Open the viewer" } ", which draws the scene in this browser, by WebGPU." }
-                p.hint {
-                    "Drag to turn, wheel to come closer, Shift and drag to move, 0 to begin again."
-                    @if !weights.is_empty() {
-                        " " label { "File: " select #viewer-lambda {
-                            @for weight in weights { option value=(weight) { "λ = " (weight) } }
-                        } }
+                @if !weights.is_empty() {
+                    p.hint {
+                        "Or turn the file of "
+                        @for weight in weights { a href=(format!("viewer?lambda={weight}")) { "λ = " (weight) } " " }
                     }
                 }
             }
@@ -168,7 +162,6 @@ fn summary(metrics: &JobMetrics) -> Markup {
         html! { div.card { dt { (name) } dd { b { (value) } span { (note) } } } }
     };
     html! {
-        section {
             dl.cards {
                 (card("PSNR", format!("{} dB", figure(test.psnr, 2)), format!("{} held-out views", test.views)))
                 (card("SSIM", figure(test.ssim, 4), "held-out views".to_owned()))
@@ -176,6 +169,5 @@ fn summary(metrics: &JobMetrics) -> Markup {
                 (card("Size", bytes(metrics.bytes.total), format!("{} Gaussians", grouped(metrics.gaussians))))
                 (card("Training", duration(metrics.seconds.train), format!("{} steps", grouped(metrics.steps))))
             }
-        }
     }
 }

@@ -116,6 +116,39 @@ fn systemd_takes_the_unit_without_a_word() {
     assert!(output.status.success() && !said.contains("tcgs.service"), "{said}");
 }
 
+/// Packs a small program in the place of this one, which takes a minute to compress.
+#[test]
+fn the_debian_package_has_the_program_its_unit_and_what_they_need() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let tools = ["dpkg-deb", "dpkg-shlibdeps", "strip"];
+    if tools.iter().any(|tool| Command::new(tool).arg("--version").output().is_err()) {
+        return skip("dpkg-dev and binutils are not installed");
+    }
+    let mut build = Command::new(concat!(env!("CARGO_MANIFEST_DIR"), "/scripts/build_deb.sh"));
+    let output = build.arg("/bin/true").env("CARGO_TARGET_DIR", folder.path()).output().expect("a shell");
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let package = String::from_utf8(output.stdout).expect("a path");
+    assert!(package.contains(concat!("/tcgs_", env!("CARGO_PKG_VERSION"), "_")), "{package}");
+    let of = |arguments: &[&str]| {
+        let output = Command::new("dpkg-deb").args(arguments).output().expect("dpkg-deb");
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+        String::from_utf8(output.stdout).expect("UTF-8")
+    };
+    let needs = of(&["--field", package.trim(), "Depends"]);
+    for needed in ["libc6 (>= ", "libvulkan1", "mesa-vulkan-drivers | vulkan-icd", "ca-certificates"] {
+        assert!(needs.contains(needed), "{needs}");
+    }
+    let root = folder.path().join("root");
+    of(&["--extract", package.trim(), &root.display().to_string()]);
+    let unit = fs::read_to_string(root.join("usr/lib/systemd/system/tcgs.service")).expect("the unit");
+    assert_eq!(unit.lines().filter(|line| *line == "ExecStart=/usr/bin/tcgs serve").count(), 1, "{unit}");
+    for file in ["usr/bin/tcgs", "usr/share/doc/tcgs/copyright", "usr/share/doc/tcgs/OPERATIONS.md"] {
+        assert!(root.join(file).exists(), "{file}");
+    }
+    let script = of(&["--info", package.trim(), "postinst"]);
+    assert!(script.contains("useradd --system"), "{script}");
+}
+
 #[test]
 fn the_image_and_the_compose_file_set_what_the_service_reads_and_ask_whether_it_is_ready() {
     let help = serve("--help");

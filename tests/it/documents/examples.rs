@@ -246,6 +246,32 @@ async fn the_client_in_python_brings_a_scene_and_a_view() {
     let output = tokio::task::spawn_blocking(move || refused.output().expect("starts")).await.expect("ran");
     let said = String::from_utf8_lossy(&output.stderr).into_owned();
     assert!(!output.status.success() && said.contains("401") && !said.contains("Traceback"), "{said}");
+
+    let mut lost = Command::new("python3");
+    lost.arg(concat!(env!("CARGO_MANIFEST_DIR"), "/examples/client.py")).args(["nope.zip", "--frame", "x"]);
+    lost.current_dir(folder.path()).env("PYTHONDONTWRITEBYTECODE", "1");
+    let output = lost.output().expect("starts");
+    let said = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert!(!output.status.success() && said.contains("nope.zip") && !said.contains("Traceback"), "{said}");
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn the_short_client_in_python_brings_a_scene() {
+    if !there_is("python3", &["-c", "import requests"]) {
+        return;
+    }
+    let server = Server::start(&Coverage::default()).await;
+    let key = server.key(&[Scope::Read, Scope::DatasetsWrite, Scope::JobsWrite]).await;
+    let folder = tempfile::tempdir().expect("a folder");
+    let dataset = scene(folder.path());
+    let mut client = Command::new("python3");
+    client.arg(concat!(env!("CARGO_MANIFEST_DIR"), "/examples/submit.py")).arg(&dataset).arg("scene.tcgs");
+    client.current_dir(folder.path()).env(KEY, &key.key).env("PYTHONDONTWRITEBYTECODE", "1");
+    client.env("TCGS_SERVER", format!("http://{}", server.address));
+    let output = finishes(client).await;
+    let told = String::from_utf8_lossy(&output.stdout).into_owned();
+    assert_eq!(told, format!("scene.tcgs: {} bytes, 30.00 dB\n", fakes::FILE.len()));
+    assert_eq!(fs::read(folder.path().join("scene.tcgs")).expect("a file"), fakes::FILE);
 }
 
 /// Targets of requests in the order in which rules look at them: what a name is part of stands behind it.

@@ -90,6 +90,8 @@ pub(super) async fn what_is_wrong_with_a_dataset_or_an_option_is_said_before_a_j
         ("?until=converged", "iterations"),
         ("?max_bytes=0", "max_bytes"),
         ("?max_bytes=10", "max_bytes"),
+        ("?max_bytes=800", "max_bytes"),
+        ("?max_bytes=1000&preset=standard", "max_bytes"),
         ("?max_bytes=1000&model=scaffold", "max_bytes"),
         ("?max_bytes=1000&rd_curve=0.001", "max_bytes"),
         ("?target_gaussians=1000", "target_gaussians"),

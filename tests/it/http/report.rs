@@ -113,7 +113,7 @@ pub(super) async fn a_finished_job_is_reported_on_one_page(coverage: Coverage) {
     let count = |name: &str| elements.iter().filter(|element| element.name == name).count();
     assert_eq!((count("script"), count("style"), count("html")), (1, 1, 1));
     assert_eq!(count("input"), 0, "the page asks nobody for a key: the browser has it");
-    assert_eq!(count("img"), 4, "three pictures of the held-out view and the viewer's first");
+    assert_eq!(count("img"), 4, "three pictures of the held-out view and the one that leads to the viewer");
     for said in [
         "30.00 dB",
         "Where the bytes went",
@@ -157,13 +157,7 @@ pub(super) async fn a_finished_job_is_reported_on_one_page(coverage: Coverage) {
 
     let viewer =
         elements.iter().find(|element| element.attributes.get("id").is_some_and(|id| id == "viewer"));
-    let asked = &viewer.expect("a viewer").attributes;
-    let view = format!(
-        "{}?position={}&look_at={}&up={}&fov={}&width=32&height=24&format=jpeg",
-        asked["data-href"], asked["data-position"], asked["data-center"], asked["data-up"], asked["data-fov"]
-    );
-    let view = server.get(&view).await.expect(200);
-    assert_eq!(view.header("content-type"), "image/jpeg", "what the viewer asks first is served");
+    assert_eq!(viewer.expect("a link").attributes["href"], "viewer");
 
     figures_are_comma_separated(&server, &path).await;
     let etag = answer.header("etag").to_owned();
@@ -277,12 +271,19 @@ pub(super) async fn a_curve_is_reported_with_each_of_its_files(coverage: Coverag
     let answer = server.get(&format!("{job}/report")).await.expect(200);
     let page = String::from_utf8(answer.body.to_vec()).expect("UTF-8");
     let elements = assert_self_contained(&page, answer.header("content-security-policy"));
-    let weights: Vec<&str> = elements
-        .iter()
-        .filter(|element| element.name == "option")
-        .map(|element| &*element.attributes["value"])
-        .collect();
-    assert_eq!(weights, ["0.001", "0.004"]);
+    let links = elements.iter().filter_map(|element| element.attributes.get("href"));
+    let viewers: Vec<&str> = links.map(|link| &**link).filter(|link| link.starts_with("viewer?")).collect();
+    assert_eq!(viewers, ["viewer?lambda=0.001", "viewer?lambda=0.004"]);
+    for (link, weight) in viewers.iter().zip(["0.001", "0.004"]) {
+        let page = server.get(&format!("{job}/{link}")).await.expect(200);
+        let page = String::from_utf8(page.body.to_vec()).expect("UTF-8");
+        assert!(page.contains(&format!("λ = {weight}</h1>")), "its title names the file");
+        for address in [format!("artifact?lambda={weight}"), format!("view?lambda={weight}")] {
+            let is_optional = address.starts_with("artifact") && tcgs::viewer_page::assets().is_none();
+            assert!(is_optional || page.contains(&format!("\"{address}\"")), "{address}: {page}");
+        }
+    }
+    server.get(&format!("{job}/viewer?lambda=0.5")).await.expect_problem(404, "artifact-not-found");
     let dots =
         elements.iter().filter(|element| element.name == "title" && element.text.starts_with("λ = ")).count();
     assert_eq!(dots, 2, "each file has its dot");

@@ -25,6 +25,5 @@ mod reordered;
 #[cfg(target_os = "linux")]
 mod soak;
 mod upgrade;
-mod viewer;
 mod viewer_page;
 mod viewers;

@@ -16,7 +16,7 @@ use crate::support::{
 };
 
 /// WebGPU without a GPU, and a compositor that takes its pictures.
-const WEBGPU: [&str; 8] = [
+pub(super) const WEBGPU: [&str; 8] = [
     "--enable-unsafe-webgpu",
     "--use-webgpu-adapter=swiftshader",
     "--use-angle=swiftshader",
@@ -28,7 +28,7 @@ const WEBGPU: [&str; 8] = [
 ];
 
 /// How the page shows the scene, once it has; its last line if it cannot.
-const SHOWN: &str = "(() => {
+pub(super) const SHOWN: &str = "(() => {
     const stage = document.getElementById('stage');
     return stage && stage.dataset.frames ? stage.dataset.mode : null;
 })()";
@@ -46,7 +46,7 @@ const SAVED: &str = "(async () => {
 })()";
 
 /// The camera of the page's first stop for a picture of its size.
-const CAMERA: &str = "(() => {
+pub(super) const CAMERA: &str = "(() => {
     const stop = JSON.parse(document.getElementById('scene').textContent).stops[0];
     const { clientWidth: width, clientHeight: height } = document.getElementById('stage');
     const scale = Math.min(width / stop.width, height / stop.height);
@@ -54,6 +54,20 @@ const CAMERA: &str = "(() => {
         camera_to_world: stop.camera_to_world, fx: stop.fx * scale, fy: stop.fy * scale,
         cx: width / 2 + (stop.cx - stop.width / 2) * scale, cy: height / 2 + (stop.cy - stop.height / 2) * scale, width, height,
     });
+})()";
+
+/// Where the page leads that is shown.
+const PATH: &str = "location.pathname";
+
+/// What reaches beyond the width of a phone.
+const WIDER_THAN_THE_WINDOW: &str = "[...document.body.querySelectorAll('*')]
+    .filter(element => element.getBoundingClientRect().right > 391)
+    .map(element => `${element.tagName} of ${element.parentElement.tagName} ${element.parentElement.className}: ${element.textContent.slice(0, 40)}`)";
+
+/// Turns the wheel away from the scene a hundred times.
+const WHEEL: &str = "(() => {
+    const stage = document.getElementById('stage');
+    for (let i = 0; i < 100; i += 1) stage.dispatchEvent(new WheelEvent('wheel', { deltaY: 200, cancelable: true }));
 })()";
 
 /// Pixels of a picture of which at most this part may differ by more than one level.
@@ -114,6 +128,21 @@ async fn a_page_from_a_disk_decodes_and_draws_the_scene_as_this_machine_does() {
     assert!(requests.is_empty(), "{requests:?}");
 }
 
+/// The camera's distance from what it looks at in the last view that the page asks the service for once it rests.
+async fn settled_distance(page: &mut Page) -> f64 {
+    page.until("document.getElementById('stage').dataset.picture", |picture| *picture == "full").await;
+    let of = |url: &String| {
+        let url = reqwest::Url::parse(url).ok().filter(|url| url.path().ends_with("/view"))?;
+        let vector = |name: &str| -> Option<Vec<f64>> {
+            let (_, text) = url.query_pairs().find(|(found, _)| found == name)?;
+            text.split(',').map(|number| number.parse().ok()).collect()
+        };
+        let (from, to) = (vector("position")?, vector("look_at")?);
+        Some(from.iter().zip(&to).map(|(a, b)| (a - b).powi(2)).sum::<f64>().sqrt())
+    };
+    page.requests.iter().rev().find_map(of).expect("a view was asked for")
+}
+
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn without_webgpu_the_service_draws_the_page_s_pictures() {
     let Some(program) = browser::find() else { return skip("Chromium is not installed") };
@@ -128,6 +157,13 @@ async fn without_webgpu_the_service_draws_the_page_s_pictures() {
     .await;
 
     let source = "document.getElementById('picture').src";
+    let before = page.evaluate(source).await;
+    page.mouse("mousePressed", 200.0, 300.0).await;
+    for step in 1..=5 {
+        page.mouse("mouseMoved", 200.0 + 12.0 * f64::from(step), 300.0 + 3.0 * f64::from(step)).await;
+    }
+    page.mouse("mouseReleased", 260.0, 315.0).await;
+    page.until(source, |now| *now != before).await;
     let first = page.evaluate(source).await;
     for (name, by) in [("ArrowLeft", "turned"), ("+", "nearer"), (".", "at the next camera")] {
         let before = page.evaluate(source).await;
@@ -136,6 +172,11 @@ async fn without_webgpu_the_service_draws_the_page_s_pictures() {
         page.until(source, |now| *now != before).await;
         assert!(first != page.evaluate(source).await, "{by}");
     }
+    // However often the wheel is turned, the scene stays in sight.
+    page.evaluate(WHEEL).await;
+    let farthest = settled_distance(&mut page).await;
+    page.evaluate(WHEEL).await;
+    assert!((settled_distance(&mut page).await / farthest - 1.0).abs() < 1e-6, "{farthest}");
     assert_eq!(page.faults, Vec::<String>::new());
     let origin = format!("http://{}", server.address);
     let own = |url: &String| ["data:", "blob:", &origin].iter().any(|begin| url.starts_with(begin));
@@ -150,18 +191,32 @@ async fn on_a_phone_the_page_fits_and_fingers_come_nearer() {
     let mut page = Page::open(program, &format!("http://{}{job}/viewer", server.address)).await;
     page.be_a_phone().await;
     page.until(SHOWN, |shown| *shown == "service").await;
-    let wide = "[...document.body.querySelectorAll('*')].filter(e => e.getBoundingClientRect().right > 391).map(e => e.tagName)";
-    assert_eq!(page.evaluate(wide).await, Value::Array(Vec::new()));
-    let asked = page.requests.len();
-    let frames = "Number(document.getElementById('stage').dataset.frames)";
-    let before = page.evaluate(frames).await;
+    assert_eq!(page.evaluate(WIDER_THAN_THE_WINDOW).await, Value::Array(Vec::new()));
+    let began = settled_distance(&mut page).await;
+    // Apart by five times as much as in the beginning.
     page.touch("touchStart", &[(185.0, 400.0), (205.0, 400.0)]).await;
     for step in 1..=8 {
         let apart = 10.0 + 5.0 * f64::from(step);
         page.touch("touchMove", &[(195.0 - apart, 400.0), (195.0 + apart, 400.0)]).await;
     }
     page.touch("touchEnd", &[]).await;
-    page.until(frames, |now| now.as_f64() > before.as_f64()).await;
-    assert!(page.requests.len() > asked);
+    let ended = settled_distance(&mut page).await;
+    assert!((began / ended / 5.0 - 1.0).abs() < 0.05, "from {began} to {ended}");
+    assert_eq!(page.faults, Vec::<String>::new());
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_report_fits_a_phone_and_its_picture_leads_to_the_viewer() {
+    let Some(program) = browser::find() else { return skip("Chromium is not installed") };
+    let server = Server::start(&Coverage::default()).await;
+    let job = server.succeeded().await;
+    let mut page = Page::open(program, &format!("http://{}{job}/report", server.address)).await;
+    page.be_a_phone().await;
+    page.until("Boolean(document.getElementById('viewer'))", |there| *there == true).await;
+    // A page that is wider is shown smaller, and fingers are not where they seem to be.
+    assert_eq!(page.evaluate(WIDER_THAN_THE_WINDOW).await, Value::Array(Vec::new()));
+    page.evaluate("document.getElementById('viewer').click()").await;
+    page.until(PATH, |path| *path == format!("{job}/viewer")).await;
+    page.until(SHOWN, |shown| *shown == "service").await;
     assert_eq!(page.faults, Vec::<String>::new());
 }

@@ -312,8 +312,13 @@ fn the_command_line_refuses_with_status_4_and_says_what_is_needed() {
     let trained = program::tcgs(arguments(&["--gpu-memory", "1GiB", "--host-memory", "1GiB"]));
     let log = String::from_utf8_lossy(&trained.stderr);
     assert_eq!(trained.status.code(), Some(0), "{log}");
-    assert_eq!(log.lines().filter(|line| line.contains("memory: ")).count(), 1, "{log}");
+    assert!(!log.contains("memory: "), "that it fits is of no interest to a person: {log}");
     assert!(out.exists());
+    let mut told = program::command();
+    told.args(arguments(&[])).env("RUST_LOG", "tcgs_engine::train::memory_estimate=info");
+    let log = told.output().expect("runs").stderr;
+    let log = String::from_utf8_lossy(&log);
+    assert_eq!(log.lines().filter(|line| line.contains("memory: ")).count(), 1, "{log}");
 }
 
 /// Most memory that this process ever held, in bytes.

@@ -273,7 +273,7 @@ fn the_program_says_how_small_a_file_can_be_and_names_the_files_of_a_curve() {
             .args(extra);
         command.output().expect("runs")
     };
-    let impossible = train(&["--max-bytes", "100"]);
+    let impossible = train(&["--max-bytes", "800"]);
     assert_eq!(impossible.status.code(), Some(2), "no step is trained for what no file can have");
     let refused = train(&["--max-bytes", "1000"]);
     assert_eq!(refused.status.code(), Some(4));

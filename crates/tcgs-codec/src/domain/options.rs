@@ -13,9 +13,6 @@ pub const MAX_SEED: u64 = (1 << 53) - 1;
 /// Most iterations of a run.
 pub const MAX_ITERATIONS: u32 = 1_000_000;
 
-/// Fewest bytes that a target size may have. No file is smaller: its header, its manifest and its table of sections alone take more.
-pub const MIN_MAX_BYTES: u64 = 512;
-
 /// Most points of a rate-distortion curve.
 pub const MAX_CURVE_POINTS: usize = 8;
 
@@ -355,9 +352,6 @@ impl TrainOptions {
         let error = |text: String| Err(OptionError::new("max_bytes", text));
         match self.max_bytes {
             None => Ok(()),
-            Some(bytes) if bytes < MIN_MAX_BYTES => error(format!(
-                "no file has {bytes} bytes or fewer; its container alone takes {MIN_MAX_BYTES}"
-            )),
             Some(_) if self.model != ModelKind::Tcgs => {
                 error(format!("the model {} has no target size: it is written as floats", self.model))
             }
@@ -981,9 +975,7 @@ mod tests {
     fn a_target_size_is_for_the_method_alone() {
         assert_eq!(validated(&[("max_bytes", "50000")]).expect("possible").max_bytes, Some(50_000));
         for wrong in [
-            &[("max_bytes", "0")][..],
-            &[("max_bytes", "511")],
-            &[("max_bytes", "50000"), ("model", "scaffold")],
+            &[("max_bytes", "50000"), ("model", "scaffold")][..],
             &[("max_bytes", "50000"), ("model", "3dgs")],
             &[("max_bytes", "50000"), ("rd_curve", "0.001")],
         ] {

@@ -1,15 +1,15 @@
 //! Estimates what a job needs before it starts: steps, memory and bytes of its file.
 //!
-//! Memory is what training itself allows for ([`Needs`]). The file's bytes are a range: of a `tcgs` file by the bytes an anchor of
+//! A target size that no file can meet is refused before training. Memory is what training itself allows for ([`Needs`]). The file's bytes are a range: of a `tcgs` file by the bytes an anchor of
 //! recorded runs (docs/RESULTS.md, docs/LONG_RUNS.md), of files of floats by their layout.
 
 use crate::{
     domain::{
-        Bytes, DatasetSummary, JobNeeds, MemoryLimits, MemoryNeeds, ModelKind, NamedCamera, TrainOptions,
-        ValueRange,
+        Bytes, DatasetSummary, JobNeeds, MemoryLimits, MemoryNeeds, ModelKind, NamedCamera, OptionError,
+        TrainOptions, ValueRange,
     },
     gpu::AdapterReport,
-    model::NetworkLayout,
+    model::{ModelShape, NetworkLayout},
     train::{Needs, Schedule, SetSizes},
 };
 
@@ -24,6 +24,10 @@ const GAUSSIAN_BYTES: u64 = 62 * size_of::<f32>() as u64;
 
 /// Bytes that a file has at most besides anchors, Gaussians and networks, and the fewest of any file.
 const HEADER_BYTES: ValueRange<u64> = ValueRange { low: 512, high: 8192 };
+
+/// Fewest bits of a network's parameter in a `tcgs` file. The coarsest weights have 4 bits, of which entropy coding saves a part; in
+/// finished files parameters take 8 to 9.
+const MIN_PARAMETER_BITS: u64 = 3;
 
 /// An adapter, and what a run may take there.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -83,6 +87,31 @@ pub fn job_needs(
         file_bytes: file_bytes(options, &schedule, points.min(max_size) as u64, max_size as u64, &mut notes),
         notes,
     }
+}
+
+/// Options that a run can have: they suit each other, and a file of their model can be as small as they ask for.
+///
+/// # Errors
+/// The option that is wrong, and why.
+pub fn checked_options(options: TrainOptions) -> Result<TrainOptions, OptionError> {
+    let options = options.validated()?;
+    let least = least_file_bytes(Schedule::new(&options).shape);
+    match options.max_bytes {
+        Some(bytes) if bytes < least => Err(OptionError {
+            option: "max_bytes",
+            error: format!(
+                "no file has {bytes} bytes or fewer: its container and its networks alone take {least}"
+            ),
+        }),
+        _ => Ok(options),
+    }
+}
+
+/// Bytes that every `tcgs` file of a model takes. Training may narrow the model to one feature channel and one offset an anchor; the
+/// networks stay as wide inside.
+fn least_file_bytes(shape: ModelShape) -> u64 {
+    let narrowest = ModelShape { features: 1, offsets: 1, ..shape };
+    HEADER_BYTES.low + NetworkLayout::new(narrowest).parameters as u64 * MIN_PARAMETER_BITS / 8
 }
 
 /// The steps of a job: branches of a rate-distortion curve share those up to the fork.
@@ -188,6 +217,31 @@ mod tests {
                 "{model} {preset}: {low}..={high}"
             );
         }
+    }
+
+    #[test]
+    fn a_target_size_below_what_networks_take_is_refused() {
+        let of = |preset: &str, iterations: Option<u32>| TrainOptions {
+            preset: preset.parse().expect("a preset"),
+            iterations,
+            ..TrainOptions::default()
+        };
+        let mut bounds = Vec::new();
+        for options in [of("preview", None), of("standard", None)] {
+            let sized = |bytes| TrainOptions { max_bytes: Some(bytes), ..options.clone() };
+            let least = least_file_bytes(Schedule::new(&options).shape);
+            checked_options(sized(least)).expect("possible by its shape");
+            for bytes in [0, 10, least - 1] {
+                let error = checked_options(sized(bytes)).expect_err("too small");
+                assert_eq!(error.option, "max_bytes");
+                assert!(error.error.contains(&least.to_string()), "{}", error.error);
+            }
+            bounds.push(least);
+        }
+        // Wider networks take more; the smallest recorded file of `preview` has 5 083 bytes.
+        assert!(bounds[0] > 800 && bounds[0] < bounds[1] && bounds[1] < 2000, "{bounds:?}");
+        let wrong = TrainOptions { lambda: Some(-1.0), ..TrainOptions::default() };
+        assert_eq!(checked_options(wrong).expect_err("no weight").option, "lambda");
     }
 
     #[test]

@@ -36,7 +36,7 @@ use tracing::Span;
 pub use calibrate::Calibration;
 pub use encode::encode;
 pub use error::JobError;
-pub use estimate::{Machine, job_needs};
+pub use estimate::{Machine, checked_options, job_needs};
 pub use held_out::preview_file;
 pub use inputs::ReferenceViews;
 pub use job::{CheckpointPlan, CurveFile, JobOutput, Resume, RunJob};

@@ -42,6 +42,11 @@ pub struct Estimate {
 }
 
 impl Estimate {
+    /// Logs it, for operators: the command line shows this module's lines only if asked to.
+    pub(super) fn log(&self) {
+        tracing::info!("memory: {self}");
+    }
+
     /// Bytes of buffers on the device.
     #[must_use]
     pub fn gpu_bytes(&self) -> u64 {

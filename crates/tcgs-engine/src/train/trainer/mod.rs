@@ -359,7 +359,7 @@ impl Run {
         let decided = if exposure.corrected { Exposure::On } else { Exposure::Off };
         let decided = TrainOptions { exposure: decided, ..options.clone() };
         let estimate = Needs::of(dataset, &decided, device.adapter()).within(budget)?;
-        tracing::info!("memory: {estimate}");
+        estimate.log();
         let preset_size = schedule.max_size();
         warn_if_capped(preset_size, &estimate);
         let adapter = device.adapter_line();
