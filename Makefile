@@ -19,7 +19,7 @@ FUZZ_SECONDS ?= 600
 KILLS ?= 105
 SOAK_TESTS ?= system::soak system::crash_points system::io_faults system::reordered bucket_faults
 
-.PHONY: help setup web build demo poses results long-results gate test examples schemathesis generated-client deb container-smoke manifests swiftshader validation interop external-formats gpu-kit hardware-report fuzz soak lint clean
+.PHONY: help setup web build demo poses results long-results gate test examples schemathesis generated-client deb container-smoke manifests swiftshader validation interop viewer-pictures external-formats gpu-kit hardware-report fuzz soak lint clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## /  make \1\t/p' Makefile | expand -t 16
@@ -95,6 +95,9 @@ manifests: ## hold docker/kubernetes to Kubernetes' schemas, which come through 
 interop: setup ## hold exports to splat-transform and usd-core, which come through npm and PyPI
 	@scripts/splat_transform.sh --version
 	@. scripts/env.sh && TCGS_SPLAT_TRANSFORM="$$(scripts/splat_transform.sh --where)" TCGS_USD_PYTHON="$$(scripts/usd_python.sh)" cargo test --locked --test it export:: -- --nocapture
+
+viewer-pictures: ## draw the exports of SCENE with PlayCanvas in a browser, from the cameras in POSES; DATASET is what it was trained on
+	@scripts/viewer_pictures.sh "$(SCENE)" "$(DATASET)" "$(OUT)" $(POSES)
 
 external-formats: ## convert IN (a .ply of plain Gaussians) to .sog and .spz and back, into OUT
 	@scripts/external_formats.sh "$(IN)" "$(OUT)"

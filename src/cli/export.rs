@@ -3,9 +3,10 @@
 use std::path::{Path, PathBuf};
 
 use clap::builder::{PossibleValuesParser, TypedValueParser as _};
+use indicatif::{ProgressBar, ProgressStyle};
 use serde::Serialize;
 use tcgs::{
-    domain::{Background, Camera, Dataset, Digest, Placement, Problem, SceneFormat, Split, UpAxis},
+    domain::{Background, Camera, Dataset, Digest, Placement, Problem, Scene, SceneFormat, Split, UpAxis},
     eval::Target,
     export::world::Origin,
 };
@@ -86,6 +87,12 @@ pub(crate) struct Args {
     /// Keep at most this many Gaussians: those that the dataset's training cameras, or cameras on a sphere, show most
     #[arg(long, value_name = "N", value_parser = at_least_one)]
     limit_gaussians: Option<usize>,
+
+    /// Steps that refine the Gaussians of a scene of anchors: each compares a render of them with one of the scene, from the dataset's
+    /// training cameras and from between them. 0 keeps what the cameras' colors were fitted to at once. Needs --dataset and an adapter
+    /// [default: 100; 0 with --unmeasured]
+    #[arg(long, value_name = "STEPS", value_parser = clap::value_parser!(u32).range(0..=10_000))]
+    refine: Option<u32>,
 
     /// Do not measure the loss, which needs an adapter
     #[arg(long)]
@@ -178,7 +185,10 @@ pub(crate) fn run(args: &Args) -> Result<Report, CliError> {
         similarity,
         limit: args.limit_gaussians,
     };
-    let exported = wiring::export(&file, &settings, cameras.as_deref()).map_err(in_file)?;
+    let (refiner, bar) = refiner(args, &file)?;
+    let exported = wiring::export(&file, &settings, cameras.as_deref(), refiner.as_ref());
+    bar.finish_and_clear();
+    let exported = exported.map_err(in_file)?;
     let source = Source {
         format: file.format,
         bytes: bytes.len(),
@@ -217,6 +227,26 @@ pub(crate) fn run(args: &Args) -> Result<Report, CliError> {
     Ok(Report::new(text(&summary), &summary))
 }
 
+/// What refines the Gaussians of a file, and the bar of its steps, which is hidden where standard error is no terminal.
+fn refiner(
+    args: &Args,
+    file: &wiring::SceneFile,
+) -> Result<(Option<wiring::Refiner>, ProgressBar), CliError> {
+    if args.refine.is_some_and(|steps| steps > 0) && args.dataset.is_none() {
+        return Err(CliError::Usage("--refine: needs the cameras of a --dataset".to_owned()));
+    }
+    let steps = args.refine.unwrap_or(if args.unmeasured { 0 } else { wiring::REFINEMENT_STEPS });
+    if steps == 0 || args.dataset.is_none() || !matches!(file.scene, Scene::Anchors(_)) {
+        return Ok((None, ProgressBar::hidden()));
+    }
+    let style = ProgressStyle::with_template("{msg} {bar:28} {pos}/{len}  ETA {eta}");
+    let bar = ProgressBar::new(u64::from(steps)).with_message("refining");
+    let bar = bar.with_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()));
+    let shown = bar.clone();
+    let report = Box::new(move |step: u32| shown.set_position(u64::from(step)));
+    Ok((Some(wiring::Refiner::new(args.adapter.adapter.clone(), u64::MAX).with_steps(steps, report)), bar))
+}
+
 /// A number of Gaussians.
 fn at_least_one(text: &str) -> Result<usize, String> {
     match text.parse() {
@@ -245,6 +275,7 @@ fn page(args: &Args) -> Result<Report, CliError> {
         ("scale", args.scale != 1.0),
         ("limit-gaussians", args.limit_gaussians.is_some()),
         ("world", args.world),
+        ("refine", args.refine.is_some()),
     ];
     if let Some((flag, _)) = changes.into_iter().find(|(_, is_given)| *is_given) {
         return Err(CliError::Usage(format!(
@@ -287,6 +318,12 @@ fn text(summary: &Summary) -> String {
             "baked     from {} views ({}) in {:.2} s; {} offsets invisible in all of them left out",
             baked.views, baked.from, baked.seconds, baked.unseen
         ));
+        if let Some(refined) = &baked.refined {
+            lines.push(format!(
+                "refined   by {} renders of the scene in {:.2} s",
+                refined.steps, refined.seconds
+            ));
+        }
     }
     if let Some(limited) = limited {
         lines.push(format!(

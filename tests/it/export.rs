@@ -90,8 +90,19 @@ fn anchors_are_baked_and_the_loss_is_said_with_and_without_a_dataset() {
             assert_eq!(tcgs(line!["inspect", out]).status.code(), Some(3), "it is written, not read");
         }
 
-        let said =
-            answers(line!["export", file, "--format", format, "-o", out, "--json", "--dataset", dataset]);
+        let said = answers(line![
+            "export",
+            file,
+            "--format",
+            format,
+            "-o",
+            out,
+            "--json",
+            "--dataset",
+            dataset,
+            "--refine",
+            "0"
+        ]);
         let quality = &said["quality"];
         assert_eq!(
             (&said["baked"]["from"], &quality["from"]),
@@ -113,7 +124,8 @@ fn anchors_are_baked_and_the_loss_is_said_with_and_without_a_dataset() {
     std::fs::write(single.join("transforms.json"), table.to_string()).expect("writes");
     image::RgbImage::new(32, 32).save(single.join("a.png")).expect("writes");
     let out = folder.path().join("c.ply");
-    let said = answers(line!["export", file, "--format", "ply", "-o", out, "--json", "--dataset", single]);
+    let line = line!["export", file, "-o", out, "--json", "--dataset", single, "--refine", "0"];
+    let said = answers(line);
     assert_eq!((&said["quality"]["from"], &said["quality"]["psnr"]), (&"sphere".into(), &Value::Null));
     assert!(number(&said["quality"]["psnr_to_source"]) > 20.0, "{}", said["quality"]);
 
@@ -121,6 +133,36 @@ fn anchors_are_baked_and_the_loss_is_said_with_and_without_a_dataset() {
     for word in ["baked", "fidelity  PSNR", "wrote"] {
         assert!(text.contains(word), "{text}");
     }
+}
+
+#[test]
+fn renders_of_the_scene_refine_what_was_baked_and_always_to_the_same_bytes() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let (file, dataset) = (scene_file(folder.path()), folder.path().join("photographs"));
+    sample::write(&dataset, &Settings { points: 300, ..Settings::square(32) }).expect("writes");
+    let export = |name: &str, flags: &[&str]| {
+        let out = folder.path().join(name);
+        let mut line = line!["export", file, "-o", out, "--dataset", dataset, "--json"];
+        line.extend(flags.iter().map(OsStr::new));
+        (answers(line), std::fs::read(out).expect("a file"))
+    };
+    let (at_once, _) = export("a.ply", &["--refine", "0"]);
+    let (refined, bytes) = export("b.ply", &[]);
+    let (unmeasured, same) = export("c.ply", &["--refine", "100", "--unmeasured"]);
+    assert_eq!(
+        (&at_once["baked"]["refined"], &refined["baked"]["refined"]["steps"]),
+        (&Value::Null, &100.into())
+    );
+    let [before, after] = [&at_once, &refined].map(|said| number(&said["quality"]["psnr_to_source"]));
+    println!("{before} dB at once, {after} dB refined");
+    assert!(after > before + 1.0, "{before} dB at once, {after} dB refined");
+    assert_eq!((&at_once["gaussians"], &unmeasured["quality"]), (&refined["gaussians"], &Value::Null));
+    assert!(bytes == same, "the bytes vary");
+    let (cheap, _) = export("d.ply", &["--unmeasured"]);
+    assert_eq!(cheap["baked"]["refined"], Value::Null, "that needs an adapter");
+    let refused = tcgs(line!["export", file, "-o", folder.path().join("e.ply"), "--refine", "5"]);
+    assert_eq!(refused.status.code(), Some(2));
+    assert!(String::from_utf8_lossy(&refused.stderr).contains("--dataset"));
 }
 
 #[test]
@@ -194,7 +236,8 @@ fn an_export_is_turned_and_scaled_and_looks_the_same_from_there() {
     sample::write(&dataset, &Settings { points: 300, ..Settings::square(32) }).expect("writes");
     let [whole, placed, packed] =
         ["whole.ply", "placed.ply", "placed.spz"].map(|name| folder.path().join(name));
-    let in_place = answers(line!["export", file, "-o", whole, "--dataset", dataset, "--json"]);
+    let in_place =
+        answers(line!["export", file, "-o", whole, "--dataset", dataset, "--json", "--refine", "8"]);
     assert_eq!(in_place["placement"], Value::Null);
     for (out, lost) in [(&placed, 0.02), (&packed, 1.0)] {
         let said = answers(line![
@@ -205,6 +248,8 @@ fn an_export_is_turned_and_scaled_and_looks_the_same_from_there() {
             "--dataset",
             dataset,
             "--json",
+            "--refine",
+            "8",
             "--up",
             "-x",
             "--scale",

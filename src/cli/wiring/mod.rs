@@ -52,7 +52,10 @@ pub(crate) const SCALING_STEP: f32 = 0.05;
 pub(crate) const OFFSET_STEP: f32 = 0.2;
 
 pub(crate) use tcgs::pipeline::{
-    exported::{Baking, ExportSettings, Limited, Packing, Place, Quality, compare, export, sphere},
+    exported::{
+        Baking, ExportSettings, Limited, Packing, Place, PlainScene, Quality, REFINEMENT_STEPS, Refiner,
+        compare, export, plain, sphere, write as write_plain,
+    },
     scene_file::{SceneFile, read},
     scene_views::SceneViews,
 };

@@ -7,7 +7,7 @@ use tcgs::{
     engine::{LocalEngine, SceneEngine},
     gpu::{AdapterChoice, AdapterReport},
     ingest::DatasetChecker,
-    pipeline::Machine,
+    pipeline::{Machine, exported::Refiner},
     store::Store,
     viewers::{RemoteEngine, ViewerPool},
 };
@@ -31,7 +31,9 @@ pub(super) fn local_rendering(
     let (views, _) = super::views(adapter, view_memory)?;
     // Workers open the same adapter.
     let machine = Machine { adapter: AdapterReport::of(adapter)?, memory: job_memory };
-    let engine = LocalEngine::new(checker, views).with_machine(machine);
+    let engine = LocalEngine::new(checker, views)
+        .with_machine(machine)
+        .with_refiner(Refiner::new(adapter.clone(), view_memory));
     Ok(Rendering { engine: Arc::new(engine), watch: None })
 }
 

@@ -8,6 +8,7 @@ use tcgs::{
     gpu::AdapterChoice,
     http::{self, HttpConfig, ServeError, ViewerConfig, ViewerServices},
     ingest::DatasetChecker,
+    pipeline::exported::Refiner,
     store::ViewerRecord,
     viewers::announce,
 };
@@ -70,7 +71,8 @@ pub(crate) fn viewer(options: ViewerOptions) -> Result<(), CliError> {
         let announced = tokio::spawn(announce(store.clone(), record, shutdown.clone()));
         let config = HttpConfig { listen: address, ..HttpConfig::default() };
         let checker = DatasetChecker::new(config.limits.checks, config.limits.check_time);
-        let engine = Arc::new(LocalEngine::new(checker, views));
+        let refiner = Refiner::new(options.adapter.clone(), options.memory);
+        let engine = Arc::new(LocalEngine::new(checker, views).with_refiner(refiner));
         let services = ViewerServices { blobs, engine, token };
         tracing::info!(%address, adapter, "rendering views for replicas at {url}");
         http::serve_viewer(listener, config, ViewerConfig::default(), services, shutdown).await;

@@ -1,18 +1,13 @@
 //! Exports scenes to other formats and measures how much they differ from the source.
 
-use std::time::Instant;
-
 use crate::{
     domain::{
         Background, ByteCounts, Camera, Digest, ExportFidelity, GaussianScene, Image, NearPlane, Problem,
         ProblemType, Scene, SceneFormat, SceneFrame, Similarity, UpAxis, evenly_spaced::evenly_spaced,
-        harmonics,
     },
     eval::{Target, mean_scores_with, psnr},
     export::{
-        SogFile,
-        bake::{self, BakeSettings},
-        limited,
+        SogFile, bake, limited,
         placed::placed,
         spz::{Packed, SpzVersion, to_spz},
         to_glb, to_sog, to_usda,
@@ -21,39 +16,19 @@ use crate::{
 };
 use serde::Serialize;
 
+pub use super::plain_scene::{Baking, PlainScene, REFINEMENT_STEPS, Refined, Refiner, plain, sphere};
 use super::{
+    plain_scene::{MAX_DEGREE, SPHERE_VIEWS, not_exportable, sphere_of},
     scene_file::{self, SceneFile},
     scene_views::SceneViews,
 };
 
-/// Cameras on the sphere for baking a scene without training cameras.
-const SPHERE_VIEWS: usize = 96;
-
 /// Cameras on the sphere for comparing the result; different from those above.
 const SPHERE_CHECKS: usize = 16;
-
-/// Width and height of the compared pictures.
-const SPHERE_SIDE: u32 = 320;
 
 /// Views in which a service compares an export with its source, and their longer side.
 const FIDELITY_VIEWS: usize = 8;
 const FIDELITY_SIDE: u32 = 256;
-
-/// The highest degree of spherical harmonics.
-const MAX_DEGREE: u8 = 3;
-
-/// What an anchor scene was baked from.
-#[derive(Debug, Serialize)]
-pub struct Baking {
-    /// "training views" or "sphere".
-    pub from: &'static str,
-    /// How many.
-    pub views: usize,
-    /// Unmasked offsets without a Gaussian visible in any of them.
-    pub unseen: usize,
-    /// How long it took.
-    pub seconds: f64,
-}
 
 /// How a `.spz` file stores its values.
 #[derive(Debug, Serialize)]
@@ -173,27 +148,28 @@ pub struct Quality {
 /// around them.
 ///
 /// # Errors
-/// 422 for a scene that the format cannot hold.
+/// 422 for a scene that the format cannot hold; faults of the refiner's device.
 pub fn export(
     file: &SceneFile,
     settings: &ExportSettings,
     cameras: Option<&[Camera]>,
+    refiner: Option<&Refiner>,
 ) -> Result<Exported, Problem> {
-    let ExportSettings { format, degree, origin, up, similarity, limit } = *settings;
-    let (source, baking) = match &file.scene {
-        Scene::Gaussians(scene) => (lowered(scene.clone(), degree), None),
-        Scene::Anchors(scene) => {
-            let started = Instant::now();
-            let settings = BakeSettings { degree, ..BakeSettings::default() };
-            let (views, from) = match cameras {
-                Some(cameras) => (bake::thinned(cameras), "training views"),
-                None => (sphere(file, SPHERE_VIEWS)?, "sphere"),
-            };
-            let baked = bake::bake(scene, &views, settings).map_err(not_exportable)?;
-            let seconds = started.elapsed().as_secs_f64();
-            (baked.scene, Some(Baking { from, views: baked.views, unseen: baked.unseen, seconds }))
-        }
-    };
+    write(file, plain(file, settings.degree, cameras, refiner)?, settings, cameras)
+}
+
+/// As [`export`], of Gaussians that [`plain`] made of the file from these cameras.
+///
+/// # Errors
+/// 422 for a scene that the format cannot hold.
+pub fn write(
+    file: &SceneFile,
+    plain: PlainScene,
+    settings: &ExportSettings,
+    cameras: Option<&[Camera]>,
+) -> Result<Exported, Problem> {
+    let ExportSettings { format, origin, up, similarity, limit, .. } = *settings;
+    let PlainScene { scene: source, baking } = plain;
     let (source, limited) = match limit.filter(|limit| *limit < source.len()) {
         None => (source, None),
         Some(limit) => {
@@ -282,7 +258,7 @@ pub fn place(ply: &[u8], placed: &PlacedExport, cameras: &[Camera]) -> Result<Ve
     let file = scene_file::read(ply)?;
     let PlacedExport { format, up, similarity, limit } = *placed;
     let settings = ExportSettings { up, similarity, limit, ..ExportSettings::whole(format) };
-    Ok(export(&file, &settings, (!cameras.is_empty()).then_some(cameras))?.bytes)
+    Ok(export(&file, &settings, (!cameras.is_empty()).then_some(cameras), None)?.bytes)
 }
 
 /// Renders `source` and `exported`, as read back from its bytes, from the same cameras: those of `photographs`, which must be over
@@ -400,44 +376,6 @@ fn different() -> Problem {
     Problem::new(ProblemType::Internal, "two pictures of one view differ in size")
 }
 
-/// Cameras on a sphere around a scene, in the world.
-///
-/// # Errors
-/// A problem of type `not-exportable` for a scene without extent.
-pub fn sphere(file: &SceneFile, count: usize) -> Result<Vec<Camera>, Problem> {
-    sphere_of(&file.scene, count)
-}
-
-fn sphere_of(scene: &Scene, count: usize) -> Result<Vec<Camera>, Problem> {
-    let cameras = match scene {
-        Scene::Gaussians(scene) => bake::sphere(&scene.means, count, SPHERE_SIDE),
-        Scene::Anchors(scene) => {
-            let positions: Vec<[f32; 3]> =
-                scene.cells.iter().map(|cell| scene.lattice.position(*cell)).collect();
-            bake::sphere(&positions, count, SPHERE_SIDE)
-        }
-    };
-    let frame = scene.frame();
-    let in_world =
-        |cameras: Vec<Camera>| cameras.iter().map(|camera| frame.camera_to_world(camera)).collect();
-    cameras.map(in_world).map_err(not_exportable)
-}
-
-/// The scene without harmonics above `degree`.
-fn lowered(mut scene: GaussianScene, degree: u8) -> GaussianScene {
-    if degree < scene.degree {
-        scene.degree = degree;
-        for row in &mut scene.sh {
-            row[harmonics::functions(degree)..].fill([0.0; 3]);
-        }
-    }
-    scene
-}
-
-fn not_exportable(error: impl std::fmt::Display) -> Problem {
-    Problem::new(ProblemType::NotExportable, error.to_string())
-}
-
 #[cfg(test)]
 mod tests {
     use crate::domain::{Intrinsics, Pose};
@@ -476,11 +414,11 @@ mod tests {
         let scene = in_world_units(&scene, Origin::Nearby);
         let ply = scene_file::write_gaussians(&scene, Background::Black, None);
         let file = scene_file::read(&ply).expect("reads");
-        let again = export(&file, &ExportSettings::whole(SceneFormat::Ply), None).expect("exports");
+        let again = export(&file, &ExportSettings::whole(SceneFormat::Ply), None, None).expect("exports");
         assert_eq!(again.bytes, ply);
         assert_eq!(again.place.offset, [10.0, 0.0, 0.0]);
         let settings = ExportSettings { origin: Origin::World, ..ExportSettings::whole(SceneFormat::Ply) };
-        let world = export(&file, &settings, None).expect("exports");
+        let world = export(&file, &settings, None, None).expect("exports");
         assert_eq!(world.place.offset, [0.0; 3]);
         assert!(world.place.rounding.expect("is known").mean_shift > 0.0);
     }

@@ -13,6 +13,7 @@ mod held_out;
 mod inputs;
 mod job;
 mod measure;
+mod plain_scene;
 mod quant_steps;
 pub mod scene_file;
 pub mod scene_views;

@@ -28,6 +28,7 @@ mod photographs;
 mod plain;
 mod prune_invisible;
 mod rate_control;
+mod refine;
 mod removal_losses;
 mod scene_extent;
 mod scene_frame;
@@ -54,6 +55,7 @@ pub use loss::{ImageLoss, LossSums};
 pub use masks::{FIRST_LOGIT, MaskRows, OffsetMasks};
 pub use memory_estimate::{Estimate, OverBudget, PhotographPlace};
 pub use rate_control::{RateControl, RateControlState, SizeAim, SizeLimit};
+pub use refine::Refinement;
 pub use schedule::{
     BaseQuantStepRule, CompressionSchedule, CompressionStage, Decay, DecayShape, MaskSchedule, Schedule,
     schedule_table,

@@ -7,7 +7,9 @@ use std::{
 };
 
 use tcgs::{
-    domain::{Dataset, Digest, ModelKind, Phase, Problem, Progress, SceneFormat, Split, TrainOptions},
+    domain::{
+        Camera, Dataset, Digest, ModelKind, Phase, Problem, Progress, SceneFormat, Split, TrainOptions,
+    },
     eval::Target,
     gpu::AdapterChoice,
     pipeline::{CheckpointPlan, JobError, JobOutput, Pipeline, ReferenceViews, RunJob as _},
@@ -234,11 +236,7 @@ impl Measured {
             render_seconds = wiring::render_seconds(&renderer, &dataset)?;
         }
         let high_band = wiring::high_band_error(&renderer, &dataset, background)?;
-        let exports = runner
-            .export_formats
-            .iter()
-            .map(|format| export(&renderer, &file, &dataset, *format))
-            .collect::<Result<_, _>>()?;
+        let exports = exports(&renderer, &file, &dataset, &runner.export_formats, adapter)?;
         let is_plain = matches!(file.scene, tcgs::domain::Scene::Gaussians(_));
         let script = runner.external_formats.as_deref().filter(|_| is_plain);
         let open = |file| wiring::SceneViews::open(file, adapter);
@@ -252,15 +250,31 @@ impl Measured {
     }
 }
 
+/// Exports a scene to all formats, and measures the results on the held-out views.
+fn exports(
+    renderer: &wiring::SceneViews,
+    file: &wiring::SceneFile,
+    dataset: &Dataset,
+    formats: &[SceneFormat],
+    adapter: &AdapterChoice,
+) -> Result<Vec<ExportRecord>, CliError> {
+    let Some(first) = formats.first() else { return Ok(Vec::new()) };
+    let cameras: Vec<_> = dataset.split(Split::Train).map(|frame| frame.camera).collect();
+    let refiner = wiring::Refiner::new(adapter.clone(), u64::MAX);
+    let degree = wiring::ExportSettings::whole(*first).degree;
+    let plain = wiring::plain(file, degree, Some(&cameras), Some(&refiner))?;
+    formats.iter().map(|format| export(renderer, file, dataset, (*format, &plain, &cameras))).collect()
+}
+
 /// Exports a scene and measures the result on the held-out views.
 fn export(
     renderer: &wiring::SceneViews,
     file: &wiring::SceneFile,
     dataset: &Dataset,
-    format: SceneFormat,
+    (format, plain, cameras): (SceneFormat, &wiring::PlainScene, &[Camera]),
 ) -> Result<ExportRecord, CliError> {
-    let cameras: Vec<_> = dataset.split(Split::Train).map(|frame| frame.camera).collect();
-    let exported = wiring::export(file, &wiring::ExportSettings::whole(format), Some(&cameras))?;
+    let settings = wiring::ExportSettings::whole(format);
+    let exported = wiring::write_plain(file, plain.clone(), &settings, Some(cameras))?;
     let background = file.background;
     let mut photographs = Vec::new();
     for frame in dataset.split(Split::Test) {
