@@ -72,8 +72,8 @@ fn cameras_are_found_where_surveyors_measured_them_and_the_dataset_is_one() {
     let up = cameras.iter().map(|camera| -camera.camera.pose.rotation().row(1)).sum::<DVec3>();
     assert!(up.normalize().dot(DVec3::NEG_Y) > 0.99, "{up}");
 
-    // Neighbors alone, on one thread, into a zip.
-    let arguments = ["--matching", "sequential", "--threads", "1"];
+    // Neighbors alone, on more threads than there is memory for, into a zip.
+    let arguments = ["--matching", "sequential", "--threads", "32", "--host-memory", "1GiB"];
     let told = succeeds([&["poses", &path(&photographs), "-o", &path(&zip)][..], &arguments].concat());
     assert!(told.contains("11 of 11") && told.contains("tcgs train"), "{told}");
     assert_eq!(answers(["check", &path(&zip), "--json", "--no-calibration"])["layout"], "colmap");

@@ -30,6 +30,8 @@ KEY_FRAMES = 60
 MAX_FEATURE_SIDE = 1600
 # Contrast of the weakest feature, as a share of COLMAP's own: a scene starts from the points, and twice the features give half as many more.
 PEAK_SHARE = 0.5
+# Memory of the process itself, and of each thread that looks for features: at most MAX_FEATURE_SIDE of a photograph of so many pixels.
+BASE_MEMORY, FEATURE_MEMORY, PIXEL_MEMORY = 256 << 20, 448 << 20, 6
 # Fewest features of a usable photograph, in the median.
 MIN_FEATURES = 100
 # Photographs whose pairs are matched between two reports of progress.
@@ -144,7 +146,7 @@ class Progress:
 
 
 def devices(pycolmap, folder, names):
-    """Names by the device, lens and size that EXIF and pixels tell: each group shares one camera."""
+    """Names by the device, lens and size that EXIF and pixels tell: each group shares one camera. Also the pixels of the largest."""
     groups = collections.OrderedDict()
     for name in names:
         bitmap = pycolmap.Bitmap.read(folder / name, True)
@@ -153,7 +155,14 @@ def devices(pycolmap, folder, names):
         size = (bitmap.width, bitmap.height)
         exif = [str(value) for value in (bitmap.exif_camera_model(), bitmap.exif_focal_length())]
         groups.setdefault((size, *exif), []).append(name)
-    return list(groups.values())
+    return list(groups.values()), max(width * height for (width, height), *_ in groups)
+
+
+def feature_threads(threads, memory, pixels):
+    """As many threads as there is memory for, at least one."""
+    if not memory:
+        return threads
+    return max(1, min(threads, (memory - BASE_MEMORY) // (FEATURE_MEMORY + PIXEL_MEMORY * pixels)))
 
 
 def loop_pairs(names):
@@ -223,11 +232,12 @@ def main():
     reader = pycolmap.ImageReaderOptions()
     reader.camera_model = request["camera_model"]
     extraction = pycolmap.FeatureExtractionOptions()
-    extraction.num_threads, extraction.max_image_size, extraction.use_gpu = threads, MAX_FEATURE_SIDE, False
+    extraction.max_image_size, extraction.use_gpu = MAX_FEATURE_SIDE, False
     extraction.sift.peak_threshold *= PEAK_SHARE
     progress.begin("features", len(names))
     pycolmap.Database.open(database).close()
-    groups = devices(pycolmap, folder, names)
+    groups, pixels = devices(pycolmap, folder, names)
+    extraction.num_threads = feature_threads(threads, request["memory_bytes"], pixels)
     for group in groups:
         # In order, since numbers of photographs decide which come first; extraction would number them as threads finish.
         pycolmap.import_images(
