@@ -9,6 +9,9 @@ const MAX_ENTRIES: usize = 65536;
 /// Gaussians to an entry, in the mean.
 const SHARING: usize = 4;
 
+/// Least weight of a Gaussian among those of mean weight one, so that none is of no account.
+const LEAST_WEIGHT: f64 = 1e-3;
+
 /// Entries with the label of each Gaussian.
 pub(super) struct Palette {
     /// By pixel.
@@ -21,15 +24,17 @@ pub(super) struct Palette {
 }
 
 impl Palette {
-    /// Splits the Gaussians in two along the coefficient that varies most, the group of the largest squared error first.
+    /// Splits the Gaussians in two along the coefficient that varies most, the group of the largest squared error first. Errors count by
+    /// how much of a picture shows them: opacity times area.
     pub(super) fn of(scene: &GaussianScene, order: &[usize]) -> Self {
         let coefficients = functions(scene.degree) - 1;
         let width = 3 * coefficients;
         let rows: Vec<&[f32]> =
             order.iter().map(|index| scene.sh[*index][1..=coefficients].as_flattened()).collect();
+        let weights = weights(scene, order);
         let entries = order.len().div_ceil(SHARING).min(MAX_ENTRIES);
         let mut groups = std::collections::BinaryHeap::new();
-        groups.push(Group::of(&rows, (0..rows.len()).collect(), width));
+        groups.push(Group::of(&rows, &weights, (0..rows.len()).collect()));
         while groups.len() < entries {
             let Some(group) = groups.pop() else { break };
             if group.members.len() < 2 || group.error <= 0.0 {
@@ -44,8 +49,8 @@ impl Palette {
                 groups.push(Group { error: 0.0, ..group });
                 continue;
             }
-            groups.push(Group::of(&rows, below, width));
-            groups.push(Group::of(&rows, above, width));
+            groups.push(Group::of(&rows, &weights, below));
+            groups.push(Group::of(&rows, &weights, above));
         }
         let mut groups = groups.into_vec();
         // Like entries get like labels, which pack better.
@@ -88,21 +93,36 @@ struct Group {
 }
 
 impl Group {
-    fn of(rows: &[&[f32]], members: Vec<usize>, width: usize) -> Self {
-        let (mut sums, mut squares) = (vec![0.0; width], vec![0.0; width]);
+    fn of(rows: &[&[f32]], weights: &[f64], members: Vec<usize>) -> Self {
+        let width = members.first().map_or(0, |member| rows[*member].len());
+        let (mut total, mut sums, mut squares) = (0.0, vec![0.0; width], vec![0.0; width]);
         for member in &members {
+            let weight = weights[*member];
+            total += weight;
             for ((sum, square), value) in sums.iter_mut().zip(&mut squares).zip(rows[*member]) {
-                *sum += f64::from(*value);
-                *square += f64::from(*value).powi(2);
+                *sum += weight * f64::from(*value);
+                *square += weight * f64::from(*value).powi(2);
             }
         }
-        let count = members.len() as f64;
         let spread: Vec<f64> =
-            sums.iter().zip(&squares).map(|(sum, square)| (square - sum * sum / count).max(0.0)).collect();
+            sums.iter().zip(&squares).map(|(sum, square)| (square - sum * sum / total).max(0.0)).collect();
         let axis = (1..width).fold(0, |best, k| if spread[k] > spread[best] { k } else { best });
-        let mean = sums.iter().map(|sum| sum / count).collect();
+        let mean = sums.iter().map(|sum| sum / total).collect();
         Self { members, mean, error: spread.iter().sum(), axis }
     }
+}
+
+/// The weight of each Gaussian's error, one in the mean.
+fn weights(scene: &GaussianScene, order: &[usize]) -> Vec<f64> {
+    let shown = |index: &usize| {
+        let mut logs = scene.log_scales[*index].map(f64::from);
+        logs.sort_unstable_by(f64::total_cmp);
+        let opacity = 1.0 / (1.0 + f64::from(-scene.opacity_logits[*index]).exp());
+        (opacity * (logs[1] + logs[2]).exp()).clamp(f64::MIN_POSITIVE, f64::MAX / 1e9)
+    };
+    let shown: Vec<f64> = order.iter().map(shown).collect();
+    let mean = shown.iter().sum::<f64>() / shown.len().max(1) as f64;
+    shown.into_iter().map(|shown| (shown / mean).max(LEAST_WEIGHT)).collect()
 }
 
 impl Ord for Group {
@@ -125,3 +145,37 @@ impl PartialEq for Group {
 }
 
 impl Eq for Group {}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::domain::gaussians::SH_COEFFICIENTS;
+
+    #[test]
+    fn what_is_large_and_opaque_keeps_its_color() {
+        // Of eight Gaussians, which share two entries, the last one is seen most.
+        let mut scene = GaussianScene {
+            means: vec![[0.0; 3]; 8],
+            log_scales: vec![[-4.0; 3]; 8],
+            quats: vec![[1.0, 0.0, 0.0, 0.0]; 8],
+            opacity_logits: vec![0.0; 8],
+            sh: vec![[[0.0; 3]; SH_COEFFICIENTS]; 8],
+            degree: 1,
+            ..GaussianScene::default()
+        };
+        for (index, row) in scene.sh.iter_mut().enumerate() {
+            row[1] = [index as f32 / 8.0 - (index % 2) as f32; 3];
+        }
+        scene.sh[7][1] = [0.1; 3];
+        let order: Vec<usize> = (0..8).collect();
+        let error = |scene: &GaussianScene| {
+            let palette = Palette::of(scene, &order);
+            assert_eq!(palette.len(), 2);
+            (palette.read(palette.labels[7])[0][0] - 0.1).abs()
+        };
+        let alike = error(&scene);
+        scene.log_scales[7] = [-1.0, -1.0, -4.0];
+        let larger = error(&scene);
+        assert!(larger < 0.1 * alike, "{alike} as one of eight, {larger} as the one that is seen");
+    }
+}
