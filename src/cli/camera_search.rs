@@ -8,7 +8,7 @@ use std::{
 };
 
 use tcgs::{
-    domain::Bytes,
+    domain::{Bytes, MaskSource},
     poses::{
         CameraModel, DEFAULT_FRAMES, Matching, PoseEstimator, PoseLimits, PoseOptions, find_ffmpeg,
         find_python,
@@ -54,7 +54,7 @@ pub(super) fn camera_search(
     let limits =
         PoseLimits { memory_bytes: MemoryFlags::host(host_memory), time: Duration::from_secs(60) * minutes };
     let estimator = PoseEstimator { python: find_python(python), ffmpeg: find_ffmpeg(), limits };
-    CameraSearch { estimator, options }
+    CameraSearch { estimator, options, masks: MaskSource::Auto }
 }
 
 /// The search with what the flags of `tcgs poses` are by default.

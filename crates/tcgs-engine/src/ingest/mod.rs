@@ -56,6 +56,7 @@ mod table_reader;
 mod transforms;
 mod tree;
 mod unposed;
+mod unposed_masks;
 mod unused;
 mod valid_region;
 mod video;

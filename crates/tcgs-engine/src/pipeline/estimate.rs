@@ -109,7 +109,9 @@ fn file_bytes(
         }
         ModelKind::Gaussians3d => (ValueRange { low: GAUSSIAN_BYTES, high: GAUSSIAN_BYTES }, 0),
     };
-    let low = HEADER_BYTES.low + fixed + unit.low * (points / MAX_LOSS);
+    // A crop may leave next to nothing.
+    let fewest = if options.crop.is_none() { points / MAX_LOSS } else { 0 };
+    let low = HEADER_BYTES.low + fixed + unit.low * fewest;
     // Networks of a small `tcgs` file are most of it.
     let high = HEADER_BYTES.high + networks + unit.high * max_size.max(points);
     match options.max_bytes {

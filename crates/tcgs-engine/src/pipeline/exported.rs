@@ -4,7 +4,7 @@ use std::time::Instant;
 
 use crate::{
     domain::{
-        Background, ByteCounts, Camera, Digest, ExportFidelity, GaussianScene, Image, NearPlane, Problem,
+        Background, ByteCounts, Camera, Crop, CropRegion, Digest, ExportFidelity, GaussianScene, Image, NearPlane, Problem,
         ProblemType, Scene, SceneFormat, SceneFrame, Similarity, UpAxis, evenly_spaced::evenly_spaced,
         harmonics,
     },
@@ -22,6 +22,7 @@ use crate::{
 use serde::Serialize;
 
 use super::{
+    crop,
     scene_file::{self, SceneFile},
     scene_views::SceneViews,
 };
@@ -92,6 +93,8 @@ pub struct ExportSettings {
     pub similarity: Similarity,
     /// Most Gaussians.
     pub limit: Option<usize>,
+    /// The region whose Gaussians are kept, in the source's world.
+    pub crop: Crop,
 }
 
 impl ExportSettings {
@@ -99,7 +102,7 @@ impl ExportSettings {
     #[must_use]
     pub fn whole(format: SceneFormat) -> Self {
         let (origin, similarity) = (Origin::Nearby, Similarity::NONE);
-        Self { format, degree: MAX_DEGREE, origin, up: None, similarity, limit: None }
+        Self { format, degree: MAX_DEGREE, origin, up: None, similarity, limit: None, crop: Crop::None }
     }
 }
 
@@ -131,6 +134,8 @@ pub struct Exported {
     pub packing: Option<Packing>,
     /// Which Gaussians were kept; `None` if all were.
     pub limited: Option<Limited>,
+    /// Gaussians that a crop removed; `None` without one.
+    pub cropped: Option<usize>,
     /// The Gaussians as the file holds them, of a format that is not read.
     held: Option<GaussianScene>,
     /// Where its coordinates are in the world, which not every format states.
@@ -179,7 +184,7 @@ pub fn export(
     settings: &ExportSettings,
     cameras: Option<&[Camera]>,
 ) -> Result<Exported, Problem> {
-    let ExportSettings { format, degree, origin, up, similarity, limit } = *settings;
+    let ExportSettings { format, degree, origin, up, similarity, limit, crop } = *settings;
     let (source, baking) = match &file.scene {
         Scene::Gaussians(scene) => (lowered(scene.clone(), degree), None),
         Scene::Anchors(scene) => {
@@ -192,6 +197,14 @@ pub fn export(
             let baked = bake::bake(scene, &views, settings).map_err(not_exportable)?;
             let seconds = started.elapsed().as_secs_f64();
             (baked.scene, Some(Baking { from, views: baked.views, unseen: baked.unseen, seconds }))
+        }
+    };
+    let (source, cropped) = match CropRegion::new(&crop, || cameras.unwrap_or_default().to_vec()) {
+        None => (source, None),
+        Some(region) => {
+            let kept = crop::of_gaussians(&source, &region, &crop)?;
+            let removed = source.len() - kept.len();
+            (kept, Some(removed))
         }
     };
     let (source, limited) = match limit.filter(|limit| *limit < source.len()) {
@@ -224,6 +237,7 @@ pub fn export(
         baking,
         packing,
         limited,
+        cropped,
         held,
         place,
         near: scene.near,

@@ -3,17 +3,19 @@
 use std::{
     env,
     fs::{self, File},
-    io::{BufRead as _, BufReader, Read as _, Seek as _, SeekFrom},
+    io::{Read as _, Seek as _, SeekFrom},
     path::{Path, PathBuf},
-    process::{Child, Command, ExitStatus, Stdio},
-    sync::mpsc::{self, Receiver, RecvTimeoutError},
-    thread,
+    process::{Command, Stdio},
+    sync::mpsc::{Receiver, RecvTimeoutError},
     time::{Duration, Instant},
 };
 
 use serde::{Deserialize, Serialize};
 
-use super::{NetworkIsolation, PoseLimits, PoseOptions, PoseProgram, PoseProgress, PoseReport, PosesError};
+use super::{
+    NetworkIsolation, PoseLimits, PoseOptions, PoseProgram, PoseProgress, PoseReport, PosesError,
+    running::Running,
+};
 use crate::{
     domain::CancelFlag,
     ingest::{IngestErrorKind, Limits},
@@ -54,11 +56,54 @@ pub struct PoseEstimator {
     pub limits: PoseLimits,
 }
 
+/// The folder of masks in the folder of a search, the database of features and matches, and what these are of.
+pub(super) const MASKS: &str = "masks";
+const DATABASE: [&str; 3] = ["features.db", "features.db-wal", "features.db-shm"];
+const IDENTITY: &str = "search.json";
+
+/// What a database of features and matches is of, besides the photographs themselves.
+#[derive(Serialize)]
+struct Identity<'a> {
+    names: &'a [String],
+    camera_model: &'a str,
+    matching: &'a str,
+    seed: u64,
+}
+
+impl<'a> Identity<'a> {
+    fn new(names: &'a [String], options: PoseOptions) -> Self {
+        let PoseOptions { camera_model, matching, seed, .. } = options;
+        Self { names, camera_model: camera_model.name(), matching: matching.name(), seed }
+    }
+}
+
+/// Removes what an earlier search left in a folder, but for features and matches of the same search.
+fn forget_others(work: &Path, identity: &Identity<'_>) -> std::io::Result<()> {
+    let (path, identity) = (work.join(IDENTITY), serde_json::to_vec(identity)?);
+    let is_same = fs::read(&path).is_ok_and(|before| before == identity);
+    for entry in fs::read_dir(work)? {
+        let entry = entry?;
+        let name = entry.file_name();
+        let is_kept = name == MASKS || (is_same && DATABASE.iter().any(|kept| name == *kept));
+        if is_kept {
+            continue;
+        }
+        if entry.file_type()?.is_dir() {
+            fs::remove_dir_all(entry.path())?;
+        } else {
+            fs::remove_file(entry.path())?;
+        }
+    }
+    fs::write(path, identity)
+}
+
 #[derive(Serialize)]
 struct Request<'a> {
     photographs: &'a Path,
     names: &'a [String],
     work: &'a Path,
+    /// Of the photograph NAME, the file NAME.png is black where it is ignored.
+    masks: Option<PathBuf>,
     camera_model: String,
     matching: &'a str,
     seed: u64,
@@ -108,8 +153,9 @@ impl PoseEstimator {
         Err(unavailable(errors.lines().last().unwrap_or("it said nothing").to_owned()))
     }
 
-    /// Finds the cameras of the photographs `names` below the folder `photographs`, in this order. `work` is an empty folder, where the
-    /// model and temporary files are written.
+    /// Finds the cameras of the photographs `names` below the folder `photographs`, in this order. `work` is a folder that nothing else
+    /// writes to, where the model and temporary files are written. If a folder `masks` is there, what its masks hide is ignored. A search
+    /// that was interrupted there goes on with the features and matches that it had.
     ///
     /// # Errors
     /// Why cameras were not found. If fewer than half of them were, the model is not used.
@@ -130,6 +176,7 @@ impl PoseEstimator {
             photographs: &fs::canonicalize(photographs).map_err(io("cannot find the photographs"))?,
             names,
             work: &fs::canonicalize(work).map_err(io("cannot find the folder to work in"))?,
+            masks: Some(work.join(MASKS)).filter(|masks| masks.is_dir()),
             camera_model: options.camera_model.colmap_name(),
             matching: options.matching.name(),
             seed: options.seed,
@@ -138,6 +185,7 @@ impl PoseEstimator {
         };
         let (script, asked) = (work.join("estimate_poses.py"), work.join("request.json"));
         let text = serde_json::to_vec(&request).expect("a request has string keys and plain values");
+        forget_others(work, &Identity::new(names, options)).map_err(io("cannot clear the folder to work in"))?;
         fs::write(&script, SCRIPT).map_err(io("cannot write the program"))?;
         fs::write(&asked, text).map_err(io("cannot write the request"))?;
         let messages = File::create(work.join("messages.txt")).map_err(io("cannot write the messages"))?;
@@ -153,9 +201,9 @@ impl PoseEstimator {
             python: self.python.clone(),
             detail: error.to_string(),
         })?;
-        let mut running = Running::new(child);
-        let answer = self.follow(&mut running, report, cancel)?;
-        let status = running.wait().map_err(io("cannot wait for pycolmap"))?;
+        let mut running = Running(child);
+        let answer = self.follow(&running.lines(), report, cancel)?;
+        let status = running.0.wait().map_err(io("cannot wait for pycolmap"))?;
         let Some((found, generator, is_network_isolated)) = answer else {
             let detail = last_words(&work.join("messages.txt"));
             return Err(PosesError::Died { status: status.to_string(), detail });
@@ -188,7 +236,7 @@ impl PoseEstimator {
     /// Passes progress on until the child's output ends; what it found, with the program's name and whether it had no network.
     fn follow(
         &self,
-        running: &mut Running,
+        lines: &Receiver<String>,
         report: &mut dyn FnMut(PoseProgress),
         cancel: &CancelFlag,
     ) -> Result<Option<(Found, String, bool)>, PosesError> {
@@ -202,7 +250,7 @@ impl PoseEstimator {
             if Instant::now() >= end {
                 return Err(PosesError::TimedOut(self.limits.time));
             }
-            let text = match running.lines.recv_timeout(POLL) {
+            let text = match lines.recv_timeout(POLL) {
                 Ok(text) => text,
                 Err(RecvTimeoutError::Timeout) => {
                     // It has a limit of time of its own, so it does not count as stalled while it works on one step.
@@ -240,40 +288,6 @@ impl PoseEstimator {
             "no-overlap" => PosesError::NoOverlap(detail),
             _ => PosesError::Died { status: failure.to_owned(), detail },
         }
-    }
-}
-
-/// A child that ends with this.
-struct Running {
-    child: Child,
-    lines: Receiver<String>,
-}
-
-impl Running {
-    fn new(mut child: Child) -> Self {
-        let (sender, lines) = mpsc::channel();
-        if let Some(output) = child.stdout.take() {
-            thread::spawn(move || {
-                for line in BufReader::new(output).lines() {
-                    if line.map_or(true, |line| sender.send(line).is_err()) {
-                        break;
-                    }
-                }
-            });
-        }
-        Self { child, lines }
-    }
-
-    fn wait(&mut self) -> std::io::Result<ExitStatus> {
-        self.child.wait()
-    }
-}
-
-impl Drop for Running {
-    fn drop(&mut self) {
-        // Without effect on one that has ended.
-        let _ = self.child.kill();
-        let _ = self.child.wait();
     }
 }
 

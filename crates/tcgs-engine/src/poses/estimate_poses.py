@@ -4,7 +4,8 @@
     python3 -I estimate_poses.py --probe
 
 The probe tells the version and the means that keep the process off the network. The request has `photographs` (a folder), `names` (files
-below it, in order), `work` (an empty folder), `camera_model`, `matching` (`auto`, `exhaustive`, `sequential`), `seed`, `threads`,
+below it, in order), `masks` (a folder or null; of NAME, NAME.png hides where it is black), `work` (a folder for this alone, perhaps with
+the database of an interrupted search), `camera_model`, `matching` (`auto`, `exhaustive`, `sequential`), `seed`, `threads`,
 `memory_bytes` (0 for no limit). Standard output has one JSON object a line: `{"stage", "done", "total"}` as work goes on, of the finished
 mapping with `reprojection_error` in pixels, and at the end `{"result"}` or `{"failure", "detail"}`. The result's model is in
 `work/sparse/0`. pycolmap and numpy alone are needed.
@@ -98,6 +99,15 @@ def end_with_parent():
         os._exit(1)
 
     threading.Thread(target=watch, daemon=True).start()
+
+
+def wait_for_folder(work):
+    """Waits until no earlier process works in the folder: one whose parent has died ends within a second. Returns what holds it."""
+    import fcntl
+
+    held = open(work / "lock", "w")
+    fcntl.flock(held, fcntl.LOCK_EX)
+    return held
 
 
 class Progress:
@@ -194,6 +204,7 @@ def main():
         return
     limit_memory(request["memory_bytes"])
     end_with_parent()
+    held = wait_for_folder(Path(request["work"]))
     progress = Progress()
     try:
         import numpy
@@ -208,12 +219,21 @@ def main():
 
     reader = pycolmap.ImageReaderOptions()
     reader.camera_model = request["camera_model"]
+    if request["masks"]:
+        reader.mask_path = request["masks"]
     extraction = pycolmap.FeatureExtractionOptions()
     extraction.num_threads, extraction.max_image_size, extraction.use_gpu = threads, MAX_FEATURE_SIDE, False
     progress.begin("features", len(names))
-    pycolmap.Database.open(database).close()
+    opened = pycolmap.Database.open(database)
+    known = opened.num_images()
+    opened.close()
+    if 0 < known < len(names):
+        # Interrupted before features were looked for.
+        database.unlink()
+        pycolmap.Database.open(database).close()
     groups = devices(pycolmap, folder, names)
-    for group in groups:
+    # Photographs that have features, and pairs that were compared, are not done again.
+    for group in groups if known < len(names) else []:
         # In order, since numbers of photographs decide which come first; extraction would number them as threads finish.
         pycolmap.import_images(
             database, folder, camera_mode=pycolmap.CameraMode.SINGLE, image_names=group, options=reader

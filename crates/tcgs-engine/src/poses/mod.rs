@@ -11,15 +11,16 @@ mod error;
 mod frames;
 mod natural_order;
 mod options;
+mod running;
 
 pub use child::{PoseEstimator, find_python};
-pub use dataset::PosedDataset;
+pub use dataset::{Given, PosedDataset, SEARCH_FOLDER};
 pub use error::PosesError;
 pub use frames::{ffmpeg_version, find_ffmpeg};
 pub use natural_order::natural_order;
-pub use options::{CameraModel, DEFAULT_FRAMES, Matching, PoseLimits, PoseOptions};
+pub use options::{DEFAULT_FRAMES, PoseLimits, PoseOptions};
 
-pub use crate::domain::{PoseProgress, PoseStage};
+pub use crate::domain::{CameraModel, Matching, PoseProgress, PoseStage};
 
 #[cfg(all(test, unix))]
 mod tests;
