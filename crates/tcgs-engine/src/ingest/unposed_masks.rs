@@ -22,7 +22,7 @@ const DECODE_BYTES: u64 = 1 << 30;
 
 impl Unposed {
     /// Writes what masks hide of the photographs into the folder `to`: of the photograph `NAME` the file `NAME.png`, gray, black where it is
-    /// ignored. Returns how many photographs have one. What is cut out is not ignored, so callers leave such masks out.
+    /// ignored. Returns how many photographs have a mask; nothing is written if none has. What is cut out is not ignored, so callers leave such masks out.
     ///
     /// # Errors
     /// As for the masks of a dataset; files that cannot be written; [`IngestErrorKind::Stopped`].
@@ -42,23 +42,20 @@ impl Unposed {
         let mut found = find_masks(&tree, &plan, source)?;
         let options = MaskOptions { mode: MaskMode::Ignore, decode_bytes: DECODE_BYTES, should_continue };
         let reader = MaskReader::new(&tree, &found, &limits, &options)?;
-        let mut written = 0;
+        let with_masks = found.count();
+        if with_masks == 0 {
+            return Ok(0);
+        }
         for (name, files) in names.iter().zip(std::mem::take(&mut found.of_frames)) {
-            if files.is_empty() {
-                continue;
-            }
             if !should_continue() {
                 return Err(IngestErrorKind::Stopped.into());
             }
             let header = images::header(&tree, name, &limits)?;
-            let turn = Orientation::NoTransforms;
-            let masks = reader.of_frame(files, &header, header.size, turn)?;
-            if let Some(plane) = hidden(&tree, &masks, header.size, &limits)? {
-                write(&plane, &to.join(format!("{name}.png"))).map_err(IngestErrorKind::Spill)?;
-                written += 1;
-            }
+            let masks = reader.of_frame(files, &header, header.size, Orientation::NoTransforms)?;
+            let plane = hidden(&tree, &masks, header.size, &limits)?;
+            write(&plane, &to.join(format!("{name}.png"))).map_err(IngestErrorKind::Spill)?;
         }
-        Ok(written)
+        Ok(with_masks)
     }
 }
 
@@ -73,24 +70,21 @@ fn frame(name: &str) -> PlannedFrame {
     }
 }
 
-/// What the masks of a photograph of a size hide together.
+/// What the masks of a photograph of a size hide together: nothing without one, which COLMAP needs to be told too.
 fn hidden(
     tree: &Tree,
     masks: &FrameMasks,
     (width, height): (u32, u32),
     limits: &Limits,
-) -> Result<Option<Plane>, IngestError> {
-    let mut all: Option<Plane> = None;
+) -> Result<Plane, IngestError> {
+    let mut all = Plane { width, height, samples: vec![255; width as usize * height as usize] };
     for mask in &masks.files {
         let bytes = tree.read(&mask.file)?;
         let plane = Plane::decode(&bytes, mask.turn, mask.hidden, limits)
             .map_err(|error| error.at(&mask.file))?
             .resized(width, height)
             .hard();
-        all = Some(match all {
-            Some(before) => before.least(&plane),
-            None => plane,
-        });
+        all = all.least(&plane);
     }
     Ok(all)
 }
@@ -98,14 +92,20 @@ fn hidden(
 fn write(plane: &Plane, file: &Path) -> io::Result<()> {
     fs::create_dir_all(file.parent().unwrap_or(file))?;
     let Plane { width, height, samples } = plane;
-    let written =
-        image::save_buffer_with_format(file, samples, *width, *height, image::ColorType::L8, ImageFormat::Png);
+    let written = image::save_buffer_with_format(
+        file,
+        samples,
+        *width,
+        *height,
+        image::ColorType::L8,
+        ImageFormat::Png,
+    );
     written.map_err(io::Error::other)
 }
 
 #[cfg(test)]
 mod tests {
-    use super::*;
+    use super::{super::mask_pixels::Hidden, *};
 
     fn picture(file: &Path, width: u32, value: impl Fn(u32) -> u8) {
         fs::create_dir_all(file.parent().expect("a parent")).expect("a folder");
@@ -129,8 +129,10 @@ mod tests {
         assert_eq!(write(&MaskSource::None).expect("none"), 0);
         assert!(!to.exists());
         assert_eq!(write(&MaskSource::Auto).expect("written"), 1);
-        let mask = image::open(to.join("DCIM/b.png.png")).expect("a mask").to_luma8();
-        assert_eq!(mask.into_raw(), [0, 0, 255, 255, 0, 0, 255, 255]);
+        let mask = fs::read(to.join("DCIM/b.png.png")).expect("a mask");
+        let mask = Plane::decode(&mask, Orientation::NoTransforms, Hidden::Black, &Limits::default());
+        assert_eq!(mask.expect("a picture").samples, [0, 0, 255, 255, 0, 0, 255, 255]);
+        assert!(to.join("DCIM/a.png.png").exists(), "COLMAP takes no photograph without a mask then");
         let stopped = unposed.write_masks(&given, &MaskSource::Auto, &to, &|| false);
         assert!(matches!(stopped.expect_err("stopped").kind, IngestErrorKind::Stopped));
     }
