@@ -10,9 +10,7 @@ use tcgs::{
     export::world::Origin,
 };
 
-use super::{
-    CliError, Report, adapter::AdapterFlag, export_page, files, notice::notice, reading, wiring,
-};
+use super::{CliError, Report, adapter::AdapterFlag, export_page, files, notice::notice, reading, wiring};
 
 /// The formats that other programs read.
 const FORMATS: [SceneFormat; 6] = SceneFormat::EXPORTS;
@@ -89,7 +87,13 @@ pub(crate) struct Args {
 
     /// Keep a part of the scene: what at least half of the dataset's training cameras have in view (cameras), or a box
     /// x0,y0,z0,x1,y1,z1 in the dataset's world. The loss is measured against the whole scene
-    #[arg(long, value_name = "cameras|BOX", default_value = "none", hide_default_value = true, allow_hyphen_values = true)]
+    #[arg(
+        long,
+        value_name = "cameras|BOX",
+        default_value = "none",
+        hide_default_value = true,
+        allow_hyphen_values = true
+    )]
     crop: Crop,
 
     /// Do not measure the loss, which needs an adapter
@@ -164,7 +168,9 @@ pub(crate) fn run(args: &Args) -> Result<Report, CliError> {
     files::check_output(&args.output, &args.file, &[format.extension()])?;
     args.crop.check().map_err(|error| CliError::Usage(format!("--crop: {error}")))?;
     if args.crop == Crop::Cameras && args.dataset.is_none() {
-        return Err(CliError::Usage("--crop: cameras are those of a dataset; name it with --dataset".to_owned()));
+        return Err(CliError::Usage(
+            "--crop: cameras are those of a dataset; name it with --dataset".to_owned(),
+        ));
     }
     let in_file = |problem: Problem| problem.in_file(args.file.display().to_string());
     let bytes = files::read(&args.file)?;

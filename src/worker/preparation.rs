@@ -25,7 +25,8 @@ use super::{
 };
 use crate::{
     domain::{
-        CameraSearchOptions, CancelFlag, JobId, MaskSource, Phase, Problem, ProblemType, Progress, TrainOptions,
+        CameraSearchOptions, CancelFlag, JobId, MaskSource, Phase, Problem, ProblemType, Progress,
+        TrainOptions,
     },
     ingest,
     pipeline::JobError,
@@ -142,7 +143,13 @@ fn archive(
         let elapsed_seconds = started.elapsed().as_secs_f64();
         report(Phase::Poses, &Progress { elapsed_seconds, poses: Some(poses), ..Progress::default() });
     };
-    let found = search.estimator.dataset(Given { path: given, masks: &search.masks }, work, search.options, report, cancel)?;
+    let found = search.estimator.dataset(
+        Given { path: given, masks: &search.masks },
+        work,
+        search.options,
+        report,
+        cancel,
+    )?;
     let path = work.join("dataset.zip");
     let io = |error| PosesError::Io { what: "cannot write the archive of the dataset", error };
     let mut file = fs::File::create(&path).map_err(io)?;

@@ -710,8 +710,7 @@ fn a_dataset_is_read_for_an_export_as_training_read_it() {
         let mask = image::GrayImage::from_fn(16, 16, |x, _| image::Luma([if x < 8 { 0 } else { 255 }]));
         mask.save(Path::new(&path("set/people")).join(name).with_extension("png")).expect("written");
     }
-    let trained =
-        answers(["train", &set, "-o", &scene, "--iterations", "2", "--masks", "people", "--json"]);
+    let trained = answers(["train", &set, "-o", &scene, "--iterations", "2", "--masks", "people", "--json"]);
     let told = answers(["export", &scene, "-o", &out, "--dataset", &set, "--json"]);
     let (measured, stated) = (&told["quality"]["psnr_source"], &trained["test"]["psnr"]);
     let [measured, stated] = [measured, stated].map(|psnr| psnr.as_f64().expect("a figure"));

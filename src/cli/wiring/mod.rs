@@ -22,8 +22,7 @@ use tcgs::{
         Problem, ProblemType, ReadOptions, Scene, Scores, Split,
     },
     eval::{
-        InFlight, PerceptualDistance, Target, ViewTasks, for_each_view, mean_color_fit,
-        mean_scores_with,
+        InFlight, PerceptualDistance, Target, ViewTasks, for_each_view, mean_color_fit, mean_scores_with,
     },
     export::anchors,
     gpu::AdapterChoice,

@@ -127,7 +127,7 @@ pub(crate) async fn retry(
         match state.store().retry_job(id, repeat).await {
             Ok(None) => Err(ProblemResponse::no_job(id)),
             Ok(Some(RetryOutcome::NotRetryable(job))) => Err(not_retryable(id, job)),
-            Ok(Some(RetryOutcome::NoPhotographs)) => Err(ProblemType::DatasetNotFound.because(format!(
+            Ok(Some(RetryOutcome::NoPhotographs)) => Err(ProblemType::JobNotRetryable.because(format!(
                 "the photographs of job {id} were deleted, so their cameras cannot be found by another search; send them again"
             ))),
             Ok(Some(RetryOutcome::Created(record))) => Ok(Ok(*record)),

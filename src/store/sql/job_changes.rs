@@ -10,7 +10,10 @@ use super::{
 };
 use crate::{
     domain::{JobId, JobState, Preparation},
-    store::{Deletion, JobChange, JobUpdate, NewJob, RetryOutcome, RetryRequest, StoreError, retry::deadline_exceeded},
+    store::{
+        Deletion, JobChange, JobUpdate, NewJob, RetryOutcome, RetryRequest, StoreError,
+        retry::deadline_exceeded,
+    },
 };
 use jiff::Timestamp;
 

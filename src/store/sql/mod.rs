@@ -169,7 +169,9 @@ impl Store {
         // By the archive that was sent: another may take its place.
         let sent = new.dataset;
         if new.needs > Preparation::None
-            && let Some(posed) = queue::posed_dataset(tx, new.project, new.dataset.digest, &new.options.camera_search()).await?
+            && let Some(posed) =
+                queue::posed_dataset(tx, new.project, new.dataset.digest, &new.options.camera_search())
+                    .await?
         {
             new = NewJob {
                 photographs: Some(new.dataset.digest),

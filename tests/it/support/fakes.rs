@@ -14,12 +14,12 @@ use glam::DVec3;
 use tcgs::{
     domain::{
         AnchorScene, Background, ByteCounts, Camera, CancelFlag, CodingEfficiency, CodingStages,
-        ColorFitScores, Conventions, CurvePoint, DatasetSummary, Digest, ExportFidelity, ExportedScene,
-        Crop, CropCost, ExposureChoice, ExposureTrial, HeldOut, HeldOutView, Image, Intrinsics, JobId, JobMetrics, JobNeeds,
-        Lattice, Layout, LpipsNetwork, MemoryNeeds, Mlp, NamedCamera, NearPlane, Phase, PhaseSeconds, Pose,
-        Preview, Problem, ProblemType, Progress, ReadOptions, RenderNetworks, RenderingError, Scene,
-        SceneFormat, SceneFrame, SceneScale, Scores, Split, TrainOptions, ValueRange, ViewScore,
-        WorkerCounts, Workers,
+        ColorFitScores, Conventions, Crop, CropCost, CurvePoint, DatasetSummary, Digest, ExportFidelity,
+        ExportedScene, ExposureChoice, ExposureTrial, HeldOut, HeldOutView, Image, Intrinsics, JobId,
+        JobMetrics, JobNeeds, Lattice, Layout, LpipsNetwork, MemoryNeeds, Mlp, NamedCamera, NearPlane, Phase,
+        PhaseSeconds, Pose, Preview, Problem, ProblemType, Progress, ReadOptions, RenderNetworks,
+        RenderingError, Scene, SceneFormat, SceneFrame, SceneScale, Scores, Split, TrainOptions, ValueRange,
+        ViewScore, WorkerCounts, Workers,
     },
     engine::{PlacedExport, SceneEngine, SceneSource},
     pipeline::{CheckpointPlan, CurveFile, JobError, JobOutput, RunJob},

@@ -81,7 +81,7 @@ impl Setup {
             [ "$last" = --probe ] && exit
             echo search >> searches
             work=$(sed -n 's/.*"work":"\([^"]*\)".*/\1/p' "$last")
-            sed -n 's/.*"camera_model":"\([^"]*\)","matching":"\([^"]*\)".*/\1 \2/p' "$last" >> asked
+            echo "$(sed -n 's/.*"camera_model":"\([^"]*\)","matching":"\([^"]*\)".*/\1 \2/p' "$last")" >> asked
             # Features that an interrupted search has found.
             [ -e "$work/features.db" ] && echo known >> known
             touch "$work/features.db"

@@ -114,7 +114,8 @@ fn a_box_without_a_point_is_refused_before_training() {
     let refused = run_with(&away, &CheckpointPlan::default(), report, &CancelFlag::default());
     let Err(JobError::Fail(problem)) = refused else { panic!("not refused: {refused:?}") };
     assert!(problem.is(ProblemType::EmptyCrop), "{problem}");
-    for part in ["none of the", "points of the dataset lies in the box 50,50,50,60,60,60", "they lie between"] {
+    for part in ["none of the", "points of the dataset lies in the box 50,50,50,60,60,60", "they lie between"]
+    {
         assert!(problem.detail.contains(part), "{}", problem.detail);
     }
     assert!(reached.iter().all(|phase| *phase == Phase::Ingest), "{reached:?}");
@@ -122,32 +123,15 @@ fn a_box_without_a_point_is_refused_before_training() {
 
 /// A copy of the dataset without its points, so that only the trained scene tells that a box is empty.
 fn without_points(folder: &Path) {
-    let copy = |name: &str| {
-        let to = folder.join(name);
-        std::fs::create_dir_all(to.parent().expect("a folder")).expect("a folder");
-        std::fs::copy(set().join(name), to).expect("copies");
-    };
-    for entry in walk(&set()) {
-        if !entry.ends_with("points3D.bin") && !entry.ends_with("points3D.txt") && !entry.ends_with(".ply") {
-            copy(&entry);
-        }
+    std::fs::create_dir_all(folder.join("images")).expect("a folder");
+    for entry in std::fs::read_dir(set().join("images")).expect("photographs") {
+        let entry = entry.expect("a photograph");
+        std::fs::copy(entry.path(), folder.join("images").join(entry.file_name())).expect("copies");
     }
-}
-
-/// Files below a folder, by their paths from it.
-fn walk(root: &Path) -> Vec<String> {
-    let (mut files, mut folders) = (Vec::new(), vec![root.to_owned()]);
-    while let Some(folder) = folders.pop() {
-        for entry in std::fs::read_dir(folder).expect("a folder") {
-            let path = entry.expect("an entry").path();
-            if path.is_dir() {
-                folders.push(path);
-            } else {
-                files.push(path.strip_prefix(root).expect("below").to_str().expect("UTF-8").to_owned());
-            }
-        }
-    }
-    files
+    let table = std::fs::read(set().join("transforms.json")).expect("a table");
+    let mut table: serde_json::Value = serde_json::from_slice(&table).expect("JSON");
+    table.as_object_mut().expect("an object").remove("ply_file_path").expect("it names points");
+    std::fs::write(folder.join("transforms.json"), table.to_string()).expect("writes");
 }
 
 #[test]

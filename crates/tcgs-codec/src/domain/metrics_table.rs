@@ -6,7 +6,8 @@ use super::JobMetrics;
 #[must_use]
 pub fn metrics_columns(metrics: &JobMetrics) -> Vec<(&'static str, String)> {
     let number = |value: Option<f64>| value.map_or_else(String::new, |value| value.to_string());
-    let JobMetrics { test, train, seconds, coding, stages, rendering, color_fit, exposure, crop, .. } = metrics;
+    let JobMetrics { test, train, seconds, coding, stages, rendering, color_fit, exposure, crop, .. } =
+        metrics;
     let mut columns = vec![
         ("adapter", metrics.adapter.clone()),
         ("background", metrics.background.to_string()),

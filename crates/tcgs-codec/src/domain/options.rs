@@ -7,8 +7,8 @@ use serde_json::Value;
 use thiserror::Error;
 
 use super::{
-    CameraModel, CameraSearchOptions, Crop, ExifOrientation, Exposure, HoldOut, MaskMode, MaskSource, Matching, ReadOptions,
-    choice::named_choice,
+    CameraModel, CameraSearchOptions, Crop, ExifOrientation, Exposure, HoldOut, MaskMode, MaskSource,
+    Matching, ReadOptions, choice::named_choice,
 };
 
 /// Largest seed: the largest whole number that readers of JSON represent exactly if they use 64-bit floats, as JavaScript's do.

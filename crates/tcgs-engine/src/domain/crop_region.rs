@@ -34,9 +34,7 @@ impl CropRegion {
                 let needed = cameras.len().div_ceil(2).max(1);
                 Some(Self::Shared { cameras, needed })
             }
-            Crop::Box(least, greatest) => {
-                Some(Self::Box { least: least.into(), greatest: greatest.into() })
-            }
+            Crop::Box(least, greatest) => Some(Self::Box { least: least.into(), greatest: greatest.into() }),
         }
     }
 
@@ -92,8 +90,7 @@ mod tests {
         for kept in [DVec3::ZERO, DVec3::new(1.0, 0.0, 0.3), DVec3::new(-0.7, 0.7, -0.5)] {
             assert!(region.contains(kept), "{kept}");
         }
-        for removed in
-            [DVec3::X * 4.0, DVec3::new(3.0, 0.0, 0.7), DVec3::new(-9.0, 0.0, 0.0), DVec3::Z * 6.0]
+        for removed in [DVec3::X * 4.0, DVec3::new(3.0, 0.0, 0.7), DVec3::new(-9.0, 0.0, 0.0), DVec3::Z * 6.0]
         {
             assert!(!region.contains(removed), "{removed}");
         }

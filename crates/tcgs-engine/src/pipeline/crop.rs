@@ -44,15 +44,18 @@ impl Kept {
 
     /// Removes the others from a trained scene, as it is and before rounding.
     pub(super) fn apply(&self, trained: &mut Trained) {
-        let apply = |scene: &Scene| match scene {
+        trained.scene = self.of_scene(&trained.scene);
+        trained.unrounded = trained.unrounded.as_ref().map(|scene| self.of_scene(scene));
+    }
+
+    fn of_scene(&self, scene: &Scene) -> Scene {
+        match scene {
             Scene::Anchors(scene) => Scene::Anchors(scene.with_offsets(&self.0)),
             Scene::Gaussians(scene) => {
                 let indices: Vec<usize> = (0..scene.len()).filter(|index| self.0[*index]).collect();
                 Scene::Gaussians(scene.with_only(&indices))
             }
-        };
-        trained.scene = apply(&trained.scene);
-        trained.unrounded = trained.unrounded.as_ref().map(apply);
+        }
     }
 }
 

@@ -4,9 +4,9 @@ use std::time::Instant;
 
 use crate::{
     domain::{
-        Background, ByteCounts, Camera, Crop, CropRegion, Digest, ExportFidelity, GaussianScene, Image, NearPlane, Problem,
-        ProblemType, Scene, SceneFormat, SceneFrame, Similarity, UpAxis, evenly_spaced::evenly_spaced,
-        harmonics,
+        Background, ByteCounts, Camera, Crop, CropRegion, Digest, ExportFidelity, GaussianScene, Image,
+        NearPlane, Problem, ProblemType, Scene, SceneFormat, SceneFrame, Similarity, UpAxis,
+        evenly_spaced::evenly_spaced, harmonics,
     },
     eval::{Target, mean_scores_with, psnr},
     export::{

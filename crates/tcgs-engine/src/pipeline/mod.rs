@@ -50,8 +50,8 @@ use self::{
 };
 use crate::{
     domain::{
-        CancelFlag, CropRegion, Dataset, FailurePoint, MemoryBudget, MemoryLimits, NamedCamera, Phase, Progress,
-        ReadOptions, TrainOptions, failure_point::reach,
+        CancelFlag, CropRegion, Dataset, FailurePoint, MemoryBudget, MemoryLimits, NamedCamera, Phase,
+        Progress, ReadOptions, TrainOptions, failure_point::reach,
     },
     eval::PerceptualDistance,
     gpu::{AdapterChoice, Device, DeviceSettings, GpuError, Profile, RecordingProfile},

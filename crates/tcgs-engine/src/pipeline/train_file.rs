@@ -13,11 +13,11 @@ use super::{
 use crate::{
     domain::{
         Crop, CropCost, CropRegion, FailurePoint, JobMetrics, Phase, Progress, SceneFormat, SystemClock,
-        TrainOptions,
-        failure_point::reach,
+        TrainOptions, failure_point::reach,
     },
     train::{
-        self, BaseQuantSteps, Checkpoint, CheckpointError, CheckpointFolder, CheckpointSink, TrainError, Trained,
+        self, BaseQuantSteps, Checkpoint, CheckpointError, CheckpointFolder, CheckpointSink, TrainError,
+        Trained,
     },
 };
 

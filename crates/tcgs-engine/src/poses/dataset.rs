@@ -55,9 +55,11 @@ impl PoseEstimator {
         let masks = work.join(MASKS);
         remove(&masks).map_err(io("cannot clear the folder to work in"))?;
         let should_continue = || !cancel.is_cancelled();
-        unposed.write_masks(given, mask_source, &masks, &should_continue).map_err(|error| match error.kind {
-            IngestErrorKind::Stopped => PosesError::Cancelled,
-            _ => error.into(),
+        unposed.write_masks(given, mask_source, &masks, &should_continue).map_err(|error| {
+            match error.kind {
+                IngestErrorKind::Stopped => PosesError::Cancelled,
+                _ => error.into(),
+            }
         })?;
         let mut kept = Vec::new();
         let photographs = match unposed {

@@ -172,6 +172,26 @@ def loop_pairs(names):
     return [(a, b) for place, a in enumerate(keys) for b in keys[place + 1 :]]
 
 
+def check_features(names, features):
+    """Ends the search of photographs of which half have too few features; `features` has their numbers by name."""
+    if statistics.median([features.get(name, 0) for name in names]) >= MIN_FEATURES:
+        return
+    weakest = min(names, key=lambda name: features.get(name, 0))
+    fail(
+        "featureless",
+        f"half of the photographs have fewer than {MIN_FEATURES} distinct points (fewest: {weakest} with {features.get(weakest, 0)})",
+    )
+
+
+def is_exhaustive(matching, names):
+    return matching == "exhaustive" or (matching == "auto" and len(names) <= MAX_EXHAUSTIVE)
+
+
+def check_pairs(verified):
+    if verified == 0:
+        fail("no-overlap", "no two photographs show the same things")
+
+
 def upright(pycolmap, numpy, model):
     """Turns the model so that the common up of its cameras is -y, as of a level first camera."""
     ups = [-image.cam_from_world().rotation.matrix()[1] for image in model.images.values() if image.has_pose]
@@ -253,21 +273,14 @@ def main():
     opened = pycolmap.Database.open(database)
     features = {image.name: opened.num_keypoints_for_image(image.image_id) for image in opened.read_all_images()}
     opened.close()
-    counts = [features.get(name, 0) for name in names]
-    if statistics.median(counts) < MIN_FEATURES:
-        weakest = min(names, key=lambda name: features.get(name, 0))
-        fail(
-            "featureless",
-            f"half of the photographs have fewer than {MIN_FEATURES} distinct points (fewest: {weakest} with {features.get(weakest, 0)})",
-        )
+    check_features(names, features)
 
-    exhaustive = request["matching"] == "exhaustive" or (request["matching"] == "auto" and len(names) <= MAX_EXHAUSTIVE)
     matching = pycolmap.FeatureMatchingOptions()
     matching.num_threads, matching.use_gpu = 1, False
     verification = pycolmap.TwoViewGeometryOptions()
     verification.ransac.random_seed = seed
     options = {"matching_options": matching, "verification_options": verification, "device": pycolmap.Device.cpu}
-    if exhaustive:
+    if is_exhaustive(request["matching"], names):
         progress.begin("matches", len(names) * (len(names) - 1) // 2)
         pairing = pycolmap.ExhaustivePairingOptions()
         pairing.block_size = BLOCK
@@ -287,8 +300,7 @@ def main():
     opened = pycolmap.Database.open(database)
     verified = opened.num_verified_image_pairs()
     opened.close()
-    if verified == 0:
-        fail("no-overlap", "no two photographs show the same things")
+    check_pairs(verified)
 
     mapping = pycolmap.IncrementalPipelineOptions()
     mapping.num_threads, mapping.random_seed = 1, seed
