@@ -8,10 +8,10 @@ use std::{
 };
 
 use tcgs::{
-    domain::Bytes,
+    domain::{Bytes, MaskSource},
     poses::{
-        CameraModel, DEFAULT_FRAMES, Matching, PoseEstimator, PoseLimits, PoseOptions, find_ffmpeg,
-        find_python,
+        CameraModel, DEFAULT_FRAMES, Matching, PoseEstimator, PoseLimits, PoseOptions, find_colmap,
+        find_ffmpeg, find_python,
     },
     worker::CameraSearch,
 };
@@ -53,8 +53,9 @@ pub(super) fn camera_search(
 ) -> CameraSearch {
     let limits =
         PoseLimits { memory_bytes: MemoryFlags::host(host_memory), time: Duration::from_secs(60) * minutes };
-    let estimator = PoseEstimator { python: find_python(python), ffmpeg: find_ffmpeg(), limits };
-    CameraSearch { estimator, options }
+    let estimator =
+        PoseEstimator { python: find_python(python), colmap: find_colmap(), ffmpeg: find_ffmpeg(), limits };
+    CameraSearch { estimator, options, masks: MaskSource::Auto }
 }
 
 /// The search with what the flags of `tcgs poses` are by default.

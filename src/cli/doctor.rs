@@ -104,9 +104,9 @@ fn is_old_lavapipe(adapter: &AdapterReport) -> bool {
 fn camera_advice(machine: &Machine) -> Vec<String> {
     let mut advice = Vec::new();
     match &machine.cameras {
-        None => advice.push("to train on photographs without cameras, install pycolmap: make poses".to_owned()),
+        None => advice.push("to train on photographs without cameras, install pycolmap: make poses; or a colmap of 3.13 or newer".to_owned()),
         Some(PoseProgram { network: NetworkIsolation::None, .. }) => advice.push(
-            "the system permits neither a network namespace nor a filter of system calls: pycolmap reads photographs with network access"
+            "the system permits neither a network namespace nor a filter of system calls: COLMAP reads photographs with network access"
                 .to_owned(),
         ),
         Some(_) => {}
@@ -148,7 +148,7 @@ fn text(machine: &Machine) -> String {
     }
     let cameras = machine.cameras.as_ref().map_or_else(
         || "none".to_owned(),
-        |program| format!("pycolmap {}; kept off the network by: {}", program.version, program.network),
+        |program| format!("{program}; kept off the network by: {}", program.network),
     );
     lines.push(format!("\ncameras     {cameras}"));
     lines.push(format!(

@@ -6,14 +6,12 @@ use clap::builder::{PossibleValuesParser, TypedValueParser as _};
 use indicatif::{ProgressBar, ProgressStyle};
 use serde::Serialize;
 use tcgs::{
-    domain::{Background, Camera, Dataset, Digest, Placement, Problem, Scene, SceneFormat, Split, UpAxis},
+    domain::{Background, Camera, Crop, Dataset, Digest, Placement, Problem, Scene, SceneFormat, Split, UpAxis},
     eval::Target,
     export::world::Origin,
 };
 
-use super::{
-    CliError, Report, adapter::AdapterFlag, export_page, files, notice::notice, reading::LENIENT, wiring,
-};
+use super::{CliError, Report, adapter::AdapterFlag, export_page, files, notice::notice, reading, wiring};
 
 /// The formats that other programs read.
 const FORMATS: [SceneFormat; 6] = SceneFormat::EXPORTS;
@@ -94,6 +92,17 @@ pub(crate) struct Args {
     #[arg(long, value_name = "STEPS", value_parser = clap::value_parser!(u32).range(0..=10_000))]
     refine: Option<u32>,
 
+    /// Keep a part of the scene: what at least half of the dataset's training cameras have in view (cameras), or a box
+    /// x0,y0,z0,x1,y1,z1 in the dataset's world. The loss is measured against the whole scene
+    #[arg(
+        long,
+        value_name = "cameras|BOX",
+        default_value = "none",
+        hide_default_value = true,
+        allow_hyphen_values = true
+    )]
+    crop: Crop,
+
     /// Do not measure the loss, which needs an adapter
     #[arg(long)]
     unmeasured: bool,
@@ -118,6 +127,8 @@ struct Summary {
     baked: Option<wiring::Baking>,
     /// Null if all Gaussians were kept.
     limited: Option<wiring::Limited>,
+    /// Null without a crop.
+    cropped: Option<Cropped>,
     /// Null unless the format is a `.spz`.
     spz: Option<wiring::Packing>,
     /// Where the file's coordinates are in the world.
@@ -134,6 +145,13 @@ struct Placed {
     scale: f64,
     /// The rotation about the world's origin, w, x, y, z.
     rotation: [f64; 4],
+}
+
+#[derive(Debug, Serialize)]
+struct Cropped {
+    region: Crop,
+    /// Gaussians removed.
+    removed: usize,
 }
 
 #[derive(Debug, Serialize)]
@@ -155,10 +173,17 @@ pub(crate) fn run(args: &Args) -> Result<Report, CliError> {
     let placement = Placement { up: args.up, scale: args.scale };
     let placement = placement.validated().map_err(|error| CliError::Usage(format!("--{error}")))?;
     files::check_output(&args.output, &args.file, &[format.extension()])?;
+    args.crop.check().map_err(|error| CliError::Usage(format!("--crop: {error}")))?;
+    if args.crop == Crop::Cameras && args.dataset.is_none() {
+        return Err(CliError::Usage(
+            "--crop: cameras are those of a dataset; name it with --dataset".to_owned(),
+        ));
+    }
     let in_file = |problem: Problem| problem.in_file(args.file.display().to_string());
     let bytes = files::read(&args.file)?;
     let file = wiring::read(&bytes).map_err(in_file)?;
-    let dataset = args.dataset.as_deref().map(|path| wiring::load_as(path, &LENIENT)).transpose()?;
+    let reading = reading::of_scene(&bytes);
+    let dataset = args.dataset.as_deref().map(|path| wiring::load_as(path, &reading)).transpose()?;
     if let (Some(path), Some(dataset), Some(stated)) = (&args.dataset, &dataset, file.dataset)
         && stated != dataset.digest
     {
@@ -184,6 +209,7 @@ pub(crate) fn run(args: &Args) -> Result<Report, CliError> {
         up: args.up,
         similarity,
         limit: args.limit_gaussians,
+        crop: args.crop,
     };
     let (refiner, bar) = refiner(args, &file)?;
     let exported = wiring::export(&file, &settings, cameras.as_deref(), refiner.as_ref());
@@ -215,6 +241,7 @@ pub(crate) fn run(args: &Args) -> Result<Report, CliError> {
         source,
         baked: exported.baking,
         limited: exported.limited,
+        cropped: exported.cropped.map(|removed| Cropped { region: args.crop, removed }),
         spz: exported.packing,
         place: exported.place,
         placement: (!placement.is_none()).then(|| {
@@ -274,6 +301,7 @@ fn page(args: &Args) -> Result<Report, CliError> {
         ("up", args.up.is_some()),
         ("scale", args.scale != 1.0),
         ("limit-gaussians", args.limit_gaussians.is_some()),
+        ("crop", !args.crop.is_none()),
         ("world", args.world),
         ("refine", args.refine.is_some()),
     ];
@@ -282,7 +310,8 @@ fn page(args: &Args) -> Result<Report, CliError> {
             "--{flag}: a page shows the scene as it is; choose another --format"
         )));
     }
-    let dataset = args.dataset.as_deref().map(|path| wiring::load_as(path, &LENIENT)).transpose()?;
+    let reading = reading::of_scene(&files::read(&args.file)?);
+    let dataset = args.dataset.as_deref().map(|path| wiring::load_as(path, &reading)).transpose()?;
     export_page::run(&args.file, &args.output, dataset.as_ref())
 }
 
@@ -305,7 +334,7 @@ fn held_out(dataset: &Dataset, background: Background) -> Result<Vec<(String, Ca
 }
 
 fn text(summary: &Summary) -> String {
-    let Summary { source, baked, limited, spz, place, placement, quality, .. } = summary;
+    let Summary { source, baked, limited, cropped, spz, place, placement, quality, .. } = summary;
     let mut lines = vec![format!(
         "source    .{}, {} bytes; {} anchors, {} Gaussians",
         source.format.extension(),
@@ -324,6 +353,9 @@ fn text(summary: &Summary) -> String {
                 refined.steps, refined.seconds
             ));
         }
+    }
+    if let Some(Cropped { region, removed }) = cropped {
+        lines.push(format!("cropped   to {region}; {removed} Gaussians removed"));
     }
     if let Some(limited) = limited {
         lines.push(format!(

@@ -89,6 +89,10 @@ fn flag(row: &'static TrainOption) -> Arg {
         OptionKind::Bytes => flag
             .value_name("BYTES")
             .value_parser(move |text: &str| is_of_kind(&text.parse::<Bytes>()?.0.to_string())),
+        // A box may begin with a minus.
+        OptionKind::ChoiceOrBox(_) => {
+            flag.value_name("cameras|BOX").allow_hyphen_values(true).value_parser(is_of_kind)
+        }
         OptionKind::Positive | OptionKind::ChoiceOrPositive(_) | OptionKind::ChoiceOrFolder(_) => {
             flag.value_name("X").value_parser(is_of_kind)
         }

@@ -8,9 +8,9 @@ use std::{
 
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use tcgs::{
-    domain::{Bytes, Problem, ProblemType},
+    domain::{Bytes, MaskMode, MaskSource, Problem, ProblemType},
     poses::{
-        CameraModel, DEFAULT_FRAMES, Matching, PoseOptions, PoseProgress, PoseReport, PoseStage,
+        CameraModel, DEFAULT_FRAMES, Given, Matching, PoseOptions, PoseProgress, PoseReport, PoseStage,
         PosedDataset, PosesError,
     },
     worker::CameraSearch,
@@ -48,6 +48,14 @@ pub(crate) struct Args {
     /// Pairs that are compared: exhaustive (all), sequential (for frames of a video), auto (all of up to 200 photographs)
     #[arg(long, default_value = "auto", value_parser = clap::builder::PossibleValuesParser::new(Matching::NAMES))]
     matching: String,
+
+    /// Masks of photographs, whose hidden parts place no cameras: auto finds them by their names; none ignores them
+    #[arg(long, value_name = "auto|none|FOLDER", default_value = "auto")]
+    masks: MaskSource,
+
+    /// What masks mean; those that cut out an object are left out of the search
+    #[arg(long, default_value = "auto", value_parser = clap::builder::PossibleValuesParser::new(MaskMode::NAMES))]
+    mask_mode: String,
 
     /// Frames of a video that are taken, at even steps, the sharpest of each
     #[arg(long, value_name = "N", default_value_t = DEFAULT_FRAMES, value_parser = frames)]
@@ -92,7 +100,10 @@ pub(crate) fn run(args: &Args) -> Result<Report, CliError> {
         threads: args.threads.map_or_else(all_threads, usize::from),
         frames: args.frames,
     };
+    let mask_mode: MaskMode = args.mask_mode.parse().map_err(CliError::Usage)?;
+    let masks = if mask_mode == MaskMode::CutOut { MaskSource::None } else { args.masks.clone() };
     let search = camera_search(args.python.as_deref(), args.host_memory, args.time_limit, options);
+    let search = CameraSearch { masks, ..search };
     let (found, dataset) = dataset(&search, &args.photographs, work.path(), &Interruption::listen())?;
     if is_zip {
         let mut archive =
@@ -129,8 +140,8 @@ pub(super) fn dataset(
 ) -> Result<(PoseReport, PathBuf), CliError> {
     let mut display = Display::new();
     let report = &mut |progress| display.show(progress);
-    let CameraSearch { estimator, options } = search;
-    let found = estimator.dataset(given, work, *options, report, &interruption.cancel);
+    let CameraSearch { estimator, options, masks } = search;
+    let found = estimator.dataset(Given { path: given, masks }, work, *options, report, &interruption.cancel);
     display.finish();
     let PosedDataset { report, folder } = found.map_err(|error| match error {
         PosesError::Cancelled => interruption.error("nothing was written".to_owned()),

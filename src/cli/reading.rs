@@ -1,7 +1,10 @@
 //! The flags for what may be read in more than one way, as commands that read a dataset take them.
 
 use clap::builder::{PossibleValuesParser, TypedValueParser as _};
-use tcgs::domain::{ExifOrientation, HoldOut, MaskMode, MaskSource, ReadOptions};
+use tcgs::{
+    codec::inspect,
+    domain::{ExifOrientation, HoldOut, MaskMode, MaskSource, ReadOptions, TrainOptions},
+};
 
 /// How the files of a dataset are read.
 #[derive(Debug, Clone, clap::Args)]
@@ -49,6 +52,20 @@ impl ReadFlags {
             holdout: *holdout,
         }
     }
+}
+
+/// How the dataset of a scene is read for it again: as its training read it, if the file says how, but for photographs that are missing.
+pub(super) fn of_scene(file: &[u8]) -> ReadOptions {
+    let trained = trained_with(file).map(|options| options.reading());
+    ReadOptions { skip_missing: true, ..trained.unwrap_or(LENIENT) }
+}
+
+/// The options that a `.tcgs` file was trained with, if this version knows all of them.
+fn trained_with(file: &[u8]) -> Option<TrainOptions> {
+    let mut settings = inspect(file).ok()?.manifest.provenance.settings;
+    // What the run chose stands beside its options.
+    settings.as_object_mut()?.remove("choices");
+    serde_json::from_value(settings).ok()
 }
 
 /// For commands that use what is there of a dataset whose training decided about missing photographs.

@@ -7,7 +7,7 @@ use std::{
 
 use serde_json::{Value, json};
 use tcgs::{
-    domain::{CurvePoint, ExposureChoice, JobMetrics, Phase, SceneFormat},
+    domain::{CurvePoint, ExposureChoice, JobMetrics, Phase, SceneFormat, TrainOptions},
     ingest,
     pipeline::{CheckpointPlan, JobError, Resume, RunJob as _},
 };
@@ -73,7 +73,7 @@ pub(crate) fn run(args: &Args) -> Result<Report, CliError> {
     let runner =
         wiring::runner(&args.adapter.adapter, memory, std::env::temp_dir(), lpips).with_profile(args.profile);
     let interruption = Interruption::listen();
-    let posed = with_cameras(args, &interruption)?;
+    let posed = with_cameras(args, &options, &interruption)?;
     let dataset = posed.as_ref().map_or(&args.dataset, |(_, dataset)| dataset);
 
     let mut display = Display::new();
@@ -121,7 +121,11 @@ pub(crate) fn run(args: &Args) -> Result<Report, CliError> {
 }
 
 /// A dataset of the photographs, in a temporary folder that is kept with it, where the folder has no cameras.
-fn with_cameras(args: &Args, interruption: &Interruption) -> Result<Option<(TempDir, PathBuf)>, CliError> {
+fn with_cameras(
+    args: &Args,
+    options: &TrainOptions,
+    interruption: &Interruption,
+) -> Result<Option<(TempDir, PathBuf)>, CliError> {
     if !ingest::lacks_cameras(&args.dataset) {
         return Ok(None);
     }
@@ -131,7 +135,7 @@ fn with_cameras(args: &Args, interruption: &Interruption) -> Result<Option<(Temp
     }
     notice("the photographs have no cameras, which are found first; `tcgs poses` keeps them");
     let work = poses::work_folder(&env::temp_dir())?;
-    let search = usual_camera_search(None);
+    let search = usual_camera_search(None).of_job(options);
     let (found, dataset) = poses::dataset(&search, &args.dataset, work.path(), interruption)?;
     notice(poses::text(&found).trim_end());
     Ok(Some((work, dataset)))
@@ -213,9 +217,10 @@ pub(super) fn text(metrics: &JobMetrics) -> String {
         }
         _ => String::new(),
     };
+    let crop = metrics.crop.map_or_else(String::new, |crop| format!("crop      {crop}\n"));
     format!(
         "test      PSNR {} (before quantization {lossless})  SSIM {}{}  over {} views on {}\n\
-         {halves}{exposure}\
+         {halves}{exposure}{crop}\
          train     PSNR {}  SSIM {}  over {} views\n\
          size      {} bytes; {} anchors, {} Gaussians\n\
          time      {:.1} s training, {} steps, {:.2} steps/s; {:.2} s encoding, {:.2} s decoding\n\

@@ -13,8 +13,9 @@ use tcgs::worker::WORKER_ID_VARIABLE;
 const PREFIX: &str = "TCGS_";
 
 /// Variables that are read without a flag of their own.
-const WITHOUT_FLAGS: [&str; 6] = [
+const WITHOUT_FLAGS: [&str; 7] = [
     "TCGS_API_KEY",
+    "TCGS_COLMAP",
     "TCGS_FAIL_AT",
     "TCGS_FFMPEG",
     "TCGS_POSES_PYTHON",

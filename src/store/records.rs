@@ -413,6 +413,8 @@ pub enum RetryOutcome {
     Created(Box<JobRecord>),
     /// The job is in this state: it has not ended, or it has succeeded with these very options.
     NotRetryable(JobState),
+    /// Its cameras are to be found by another search, but the photographs were deleted.
+    NoPhotographs,
 }
 
 /// Result of a request to delete a job.

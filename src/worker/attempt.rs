@@ -59,7 +59,7 @@ async fn run_in_span(
     };
     let fetched = match fetched {
         Ok(copy) if needs == Preparation::None => Ok(copy),
-        Ok(copy) => match preparation::prepare(&mut keeper, copy, shutdown).await {
+        Ok(copy) => match preparation::prepare(&mut keeper, copy, (&options, resume_from), shutdown).await {
             Prepared::Dataset(copy) => Ok(copy),
             Prepared::Ended(outcome, result) => {
                 finish(deps, &lease, outcome, keeper.last_renewed, shutdown).await;

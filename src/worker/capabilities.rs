@@ -58,9 +58,12 @@ impl Capabilities {
 }
 
 fn abilities(search: &CameraSearch) -> Preparation {
-    if let Err(error) = search.estimator.probe() {
-        tracing::info!("jobs of photographs without cameras are left to other workers: {error}");
-        return Preparation::None;
+    match search.estimator.probe() {
+        Ok(program) => tracing::info!("cameras of photographs are found by {program}"),
+        Err(error) => {
+            tracing::info!("jobs of photographs without cameras are left to other workers: {error}");
+            return Preparation::None;
+        }
     }
     match ffmpeg_version(&search.estimator.ffmpeg) {
         Ok(_) => Preparation::Video,

@@ -19,6 +19,9 @@ use crate::{
 /// Prefix of an attempt's folder name, before its number.
 const ATTEMPT: &str = "attempt-";
 
+/// Prefix of the name of a folder of an attempt's search for cameras, before its number.
+const SEARCH: &str = "poses-";
+
 /// The folder of a job's checkpoints.
 pub(super) fn folder(root: &Path, job: JobId) -> PathBuf {
     root.join(job.to_string())
@@ -43,6 +46,20 @@ pub(super) fn of_attempt(root: Option<&Path>, lease: &Lease, resume_from: Option
         }
     }
     CheckpointPlan { keep: Some(own.clone()), resume: Resume::IfPossible(own) }
+}
+
+/// The folder of an attempt's search for cameras below `root`, with what the search of the attempt before left, or else that of the job
+/// `resume_from`.
+pub(super) fn search_of_attempt(root: &Path, lease: &Lease, resume_from: Option<JobId>) -> PathBuf {
+    let job = folder(root, lease.job);
+    let own = job.join(format!("{SEARCH}{}", lease.attempt));
+    let of_retried = || numbered(&folder(root, resume_from?), SEARCH, u32::MAX);
+    if let Some(earlier) = numbered(&job, SEARCH, lease.attempt).or_else(of_retried)
+        && take_over(&earlier, &own, lease.job)
+    {
+        tracing::info!("job {} resumes the search for cameras", lease.job);
+    }
+    own
 }
 
 /// Moves the checkpoints of an attempt to the next one's folder; returns whether that succeeded.
@@ -75,7 +92,12 @@ pub(super) fn newest_attempt(root: &Path, job: JobId, attempt: u32) -> Option<u3
 
 /// The folder of the newest attempt before `attempt` in the folder of a job.
 fn newest(job: &Path, attempt: u32) -> Option<PathBuf> {
-    let number = |path: &Path| attempt_number(path.file_name()?.to_str()?);
+    numbered(job, ATTEMPT, attempt)
+}
+
+/// The folder with the largest number below `attempt` after `prefix`.
+fn numbered(job: &Path, prefix: &str, attempt: u32) -> Option<PathBuf> {
+    let number = |path: &Path| path.file_name()?.to_str()?.strip_prefix(prefix)?.parse::<u32>().ok();
     let folders = fs::read_dir(job).ok()?.flatten().map(|entry| entry.path());
     let numbered = folders.filter_map(|path| Some((number(&path)?, path)));
     numbered.filter(|(number, _)| *number < attempt).max().map(|(_, path)| path)

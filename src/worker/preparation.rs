@@ -24,10 +24,13 @@ use super::{
     storage,
 };
 use crate::{
-    domain::{CancelFlag, Phase, Problem, ProblemType, Progress},
+    domain::{
+        CameraSearchOptions, CancelFlag, JobId, MaskSource, Phase, Problem, ProblemType, Progress,
+        TrainOptions,
+    },
     ingest,
     pipeline::JobError,
-    poses::{PoseEstimator, PoseOptions, PosesError},
+    poses::{Given, PoseEstimator, PoseOptions, PosesError, SEARCH_FOLDER},
     store::{BlobCopy, BlobError, BlobRef, Lease, Outcome, StoreError},
 };
 
@@ -44,6 +47,18 @@ pub struct CameraSearch {
     pub estimator: PoseEstimator,
     /// The options of every search.
     pub options: PoseOptions,
+    /// Where masks are that hide what cameras must not be placed by.
+    pub masks: MaskSource,
+}
+
+impl CameraSearch {
+    /// The search as the options of a run ask for it.
+    #[must_use]
+    pub fn of_job(mut self, options: &TrainOptions) -> Self {
+        let CameraSearchOptions { camera_model, matching, masks } = options.camera_search();
+        (self.options.camera_model, self.options.matching, self.masks) = (camera_model, matching, masks);
+        self
+    }
 }
 
 /// What became of the work.
@@ -54,22 +69,24 @@ pub(super) enum Prepared {
     Ended(Outcome, Result<(), WorkerError>),
 }
 
-/// Finds the cameras, and records the dataset.
+/// Finds the cameras as the options of the job ask, and records the dataset. Goes on with the search of an attempt that was interrupted, or
+/// with that of the job that this one retries.
 pub(super) async fn prepare(
     keeper: &mut LeaseKeeper<'_>,
     given: BlobCopy,
+    (options, resume_from): (&TrainOptions, Option<JobId>),
     shutdown: &CancellationToken,
 ) -> Prepared {
     let (deps, lease) = (keeper.deps, keeper.lease);
     let ended = |outcome| Prepared::Ended(outcome, Ok(()));
-    let Some(search) = deps.config.cameras.clone() else {
+    let Some(search) = deps.config.cameras.clone().map(|search| search.of_job(options)) else {
         return ended(Outcome::Released);
     };
-    let work = match WorkFolder::new(&deps.config, lease) {
+    let work = match WorkFolder::new(&deps.config, lease, resume_from) {
         Ok(work) => work,
         Err(error) => return ended(storage::outcome(&BlobError::Io(error))),
     };
-    let folder = work.0.clone();
+    let folder = work.path.clone();
     let run = move |report: &mut dyn FnMut(Phase, &Progress), cancel: &CancelFlag| {
         let found = archive(&search, given.path(), &folder, report, cancel);
         found.map_err(job_error)
@@ -79,10 +96,21 @@ pub(super) async fn prepare(
             keeper.report_progress().await;
             match completed(lease, *result, keeper.stop) {
                 Ok(archive) => archive,
-                Err(outcome) => return ended(outcome),
+                Err(outcome @ Outcome::Failed(_)) => {
+                    work.remove();
+                    return ended(outcome);
+                }
+                Err(outcome) => {
+                    work.leave();
+                    return ended(outcome);
+                }
             }
         }
-        RunEnd::NotStarted(error) => return ended(Outcome::Retry(no_thread(&error))),
+        RunEnd::NotStarted(error) => {
+            work.leave();
+            return ended(Outcome::Retry(no_thread(&error)));
+        }
+        // Its thread still writes there.
         RunEnd::DrainOver => return ended(Outcome::Released),
         RunEnd::Stalled => {
             let (outcome, error) = stalled(lease, deps.config.stall_limit);
@@ -91,8 +119,14 @@ pub(super) async fn prepare(
     };
     let publishing = publish(deps, lease, &archive);
     match while_renewing(deps, lease, &mut keeper.last_renewed, publishing).await {
-        Ok(copy) => Prepared::Dataset(copy),
-        Err(outcome) => ended(outcome),
+        Ok(copy) => {
+            work.remove();
+            Prepared::Dataset(copy)
+        }
+        Err(outcome) => {
+            work.leave();
+            ended(outcome)
+        }
     }
 }
 
@@ -109,7 +143,13 @@ fn archive(
         let elapsed_seconds = started.elapsed().as_secs_f64();
         report(Phase::Poses, &Progress { elapsed_seconds, poses: Some(poses), ..Progress::default() });
     };
-    let found = search.estimator.dataset(given, work, search.options, report, cancel)?;
+    let found = search.estimator.dataset(
+        Given { path: given, masks: &search.masks },
+        work,
+        search.options,
+        report,
+        cancel,
+    )?;
     let path = work.join("dataset.zip");
     let io = |error| PosesError::Io { what: "cannot write the archive of the dataset", error };
     let mut file = fs::File::create(&path).map_err(io)?;
@@ -147,27 +187,54 @@ async fn publish_blob(deps: &WorkerDeps, archive: &Path) -> Result<BlobRef, Blob
     Ok(deps.blobs.publish(&writer.finish().await?).await?.blob)
 }
 
-/// A folder that only this attempt writes to, removed in the end; one that a crash left is removed with the job's checkpoints.
-struct WorkFolder(PathBuf);
+/// A folder that only this attempt writes to; one that a crash left is taken over by the next attempt, or removed with the job's checkpoints.
+struct WorkFolder {
+    path: PathBuf,
+    /// Whether another attempt would find it.
+    is_kept: bool,
+}
 
 impl WorkFolder {
-    fn new(config: &WorkerConfig, lease: &Lease) -> io::Result<Self> {
-        let root = match &config.checkpoints {
-            Some(root) => checkpoints::folder(root, lease.job),
-            None => std::env::temp_dir().join(lease.job.to_string()),
+    fn new(config: &WorkerConfig, lease: &Lease, resume_from: Option<JobId>) -> io::Result<Self> {
+        let path = match &config.checkpoints {
+            Some(root) => checkpoints::search_of_attempt(root, lease, resume_from),
+            None => std::env::temp_dir().join(lease.job.to_string()).join(format!("poses-{}", lease.attempt)),
         };
-        let folder = root.join(format!("poses-{}", lease.attempt));
-        fs::create_dir_all(&folder)?;
-        Ok(Self(folder))
+        fs::create_dir_all(&path)?;
+        Ok(Self { path, is_kept: config.checkpoints.is_some() })
+    }
+
+    /// Leaves what another attempt goes on with, if one can find it.
+    fn leave(self) {
+        if !self.is_kept {
+            return self.remove();
+        }
+        if let Err(error) = keep_search(&self.path) {
+            tracing::warn!("{} cannot be cleared: {error}", self.path.display());
+        }
+    }
+
+    fn remove(self) {
+        if let Err(error) = fs::remove_dir_all(&self.path) {
+            tracing::warn!("{} cannot be removed: {error}", self.path.display());
+        }
     }
 }
 
-impl Drop for WorkFolder {
-    fn drop(&mut self) {
-        if let Err(error) = fs::remove_dir_all(&self.0) {
-            tracing::warn!("{} cannot be removed: {error}", self.0.display());
+/// Removes all from a folder but features and matches: the rest is made again in a moment.
+fn keep_search(folder: &Path) -> io::Result<()> {
+    for entry in fs::read_dir(folder)? {
+        let entry = entry?;
+        if entry.file_name() == SEARCH_FOLDER {
+            continue;
+        }
+        if entry.file_type()?.is_dir() {
+            fs::remove_dir_all(entry.path())?;
+        } else {
+            fs::remove_file(entry.path())?;
         }
     }
+    Ok(())
 }
 
 /// Whether another attempt may help: a program that ended early may have met a lack of memory.

@@ -704,3 +704,60 @@ fn a_file_of_another_program_in_version_4_is_what_its_compressed_ply_is() {
     // What no pixel shows is left out: here nothing but Gaussians of opacity zero.
     assert!(again.left_out + again.gaussians == scene.len() && again.clamped == 0);
 }
+
+#[test]
+fn a_crop_keeps_what_lies_in_a_box_of_the_world() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let golden = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/golden/shell_v1.tcgs");
+    let golden = golden.to_str().expect("UTF-8");
+    let export = |name: &str, flags: &[&str]| {
+        let out = folder.path().join(name);
+        let out = out.to_str().expect("UTF-8");
+        let told = answers([&["export", golden, "-o", out, "--unmeasured", "--json"], flags].concat());
+        (told, from_ply(&std::fs::read(out).expect("a file")).expect("Gaussians"))
+    };
+    let (told, whole) = export("whole.ply", &[]);
+    assert_eq!(told["cropped"], Value::Null);
+    let mut across: Vec<f32> = whole.means.iter().map(|mean| mean[0]).collect();
+    across.sort_unstable_by(f32::total_cmp);
+    let middle = across[across.len() / 2];
+    let region = format!("-1e9,-1e9,-1e9,{middle},1e9,1e9");
+    let (told, cropped) = export("cropped.ply", &["--crop", &region]);
+    let left: Vec<_> = whole.means.iter().filter(|mean| mean[0] <= middle).copied().collect();
+    assert!(cropped.means == left && left.len() < whole.len());
+    assert_eq!(told["cropped"]["removed"], whole.len() - left.len());
+
+    let out = folder.path().join("none.ply");
+    let out = out.to_str().expect("UTF-8");
+    for (crop, status, named) in [
+        ("cameras", 2, "--dataset"),
+        ("1,1,1,0,0,0", 2, "empty along x"),
+        ("everything", 2, "cameras or a box"),
+        ("1e8,1e8,1e8,1e9,1e9,1e9", 3, "they lie between"),
+    ] {
+        let refused = tcgs(["export", golden, "-o", out, "--unmeasured", "--crop", crop]);
+        let said = String::from_utf8_lossy(&refused.stderr).into_owned();
+        assert_eq!(refused.status.code(), Some(status), "{crop}: {said}");
+        assert!(said.contains(named), "{crop}: {said}");
+    }
+}
+
+#[test]
+fn a_dataset_is_read_for_an_export_as_training_read_it() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = |name: &str| folder.path().join(name).to_str().expect("UTF-8").to_owned();
+    let (set, scene, out) = (path("set"), path("scene.tcgs"), path("scene.spz"));
+    sample::write(Path::new(&set), &Settings { side: 16, points: 100, seed: 1 }).expect("writes");
+    // Masks that only their option finds: the left half of every photograph is ignored.
+    std::fs::create_dir(path("set/people")).expect("a folder");
+    for entry in std::fs::read_dir(path("set/images")).expect("photographs") {
+        let name = entry.expect("a photograph").file_name();
+        let mask = image::GrayImage::from_fn(16, 16, |x, _| image::Luma([if x < 8 { 0 } else { 255 }]));
+        mask.save(Path::new(&path("set/people")).join(name).with_extension("png")).expect("written");
+    }
+    let trained = answers(["train", &set, "-o", &scene, "--iterations", "2", "--masks", "people", "--json"]);
+    let told = answers(["export", &scene, "-o", &out, "--dataset", &set, "--json"]);
+    let (measured, stated) = (&told["quality"]["psnr_source"], &trained["test"]["psnr"]);
+    let [measured, stated] = [measured, stated].map(|psnr| psnr.as_f64().expect("a figure"));
+    assert!((measured - stated).abs() < 1e-9, "{measured} where training measured {stated}");
+}

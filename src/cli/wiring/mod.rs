@@ -22,8 +22,7 @@ use tcgs::{
         Problem, ProblemType, ReadOptions, Scene, Scores, Split,
     },
     eval::{
-        InFlight, PerceptualDistance, Target, ViewTasks, band_errors, for_each_view, mean_color_fit,
-        mean_scores_with,
+        InFlight, PerceptualDistance, Target, ViewTasks, for_each_view, mean_color_fit, mean_scores_with,
     },
     export::anchors,
     gpu::AdapterChoice,
@@ -117,8 +116,7 @@ pub(crate) fn high_band_error(
     let tasks = ViewTasks::<_, Problem> {
         render: &mut |frame| renderer.view(&frame.camera),
         process: &|frame, render| {
-            let target = Target::of(frame, background)?;
-            Ok(band_errors(&target.masked(&render), target.photograph()).map(|error| error.high))
+            Ok(Target::of(frame, background)?.band_errors(&render).map(|error| error.high))
         },
         collect: &mut |error| {
             errors.extend(error);

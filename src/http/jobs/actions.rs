@@ -77,15 +77,18 @@ impl RetryJobRequest {
         let Self { from_checkpoint, deadline_s, name, metadata, options } = self;
         deadline_s.map(check_deadline).transpose()?;
         let options = changed_options(before, options)?;
+        // The crop alone may be another: it comes after training.
+        let is_same_training = options.of_training() == before.of_training()
+            && options.camera_search() == before.camera_search();
         let options = (options != *before).then_some(options);
-        if options.is_some() && from_checkpoint == Some(true) {
+        if !is_same_training && from_checkpoint == Some(true) {
             let error = "is not possible with other options: a checkpoint belongs to the options that it was written with";
             return Err(ProblemResponse::parameter("from_checkpoint", error));
         }
         Ok(RetryRequest {
             id: JobId(state.services.new_uuid()),
             key: caller.key,
-            from_checkpoint: from_checkpoint.unwrap_or(options.is_none()),
+            from_checkpoint: from_checkpoint.unwrap_or(is_same_training),
             options,
             change: JobChange {
                 name: name.map(given_name).transpose()?,
@@ -124,6 +127,9 @@ pub(crate) async fn retry(
         match state.store().retry_job(id, repeat).await {
             Ok(None) => Err(ProblemResponse::no_job(id)),
             Ok(Some(RetryOutcome::NotRetryable(job))) => Err(not_retryable(id, job)),
+            Ok(Some(RetryOutcome::NoPhotographs)) => Err(ProblemType::JobNotRetryable.because(format!(
+                "the photographs of job {id} were deleted, so their cameras cannot be found by another search; send them again"
+            ))),
             Ok(Some(RetryOutcome::Created(record))) => Ok(Ok(*record)),
             Err(error) => Ok(Err(error)),
         }

@@ -20,6 +20,7 @@ pub(super) fn settings(record: &JobRecord) -> Markup {
                     (table("How it was measured", conventions(metrics)))
                     @if metrics.convergence.is_some() { (table("Convergence", convergence(metrics))) }
                     @if metrics.byte_budget.is_some() { (table("The target size", budget(metrics))) }
+                    @if metrics.crop.is_some() { (table("The crop", crop(metrics))) }
                 }
             }
         }
@@ -150,5 +151,17 @@ fn budget(metrics: &JobMetrics) -> Rows {
             ),
         ),
         row("Gaussians left out", grouped(budget.gaussians_dropped)),
+    ]
+}
+
+fn crop(metrics: &JobMetrics) -> Rows {
+    let Some(crop) = &metrics.crop else { return Rows::new() };
+    let whole = metrics.bytes.total.saturating_add_signed(crop.saved_bytes);
+    vec![
+        row("region", crop.region.to_string()),
+        row("Gaussians removed", grouped(crop.gaussians_removed)),
+        row("file of the whole scene", bytes(whole)),
+        row("bytes saved", crop.saved_bytes.to_string()),
+        row("PSNR lost, dB", figure(crop.lost_psnr, 2)),
     ]
 }

@@ -85,6 +85,16 @@ pub(super) async fn of_job(
     Ok(own.id)
 }
 
+/// The dataset of a job, if it still is the archive that its cameras were found in.
+pub(super) async fn of_photographs(
+    tx: &mut Transaction,
+    id: Option<DatasetId>,
+    photographs: Digest,
+) -> Result<Option<DatasetRecord>, StoreError> {
+    let Some(id) = id else { return Ok(None) };
+    Ok(select(tx, id).await?.filter(|dataset| dataset.dataset.digest == photographs))
+}
+
 /// Deletes a dataset that nothing but its jobs kept, and that has none any more. The totals of its project are locked.
 pub(super) async fn remove_unused(tx: &mut Transaction, id: DatasetId) -> Result<(), StoreError> {
     query(REMOVE_UNUSED).bind_all(values![id.to_string(), false]).execute(tx).await?;

@@ -9,8 +9,11 @@ use super::{
     select_job,
 };
 use crate::{
-    domain::{JobId, JobState},
-    store::{Deletion, JobChange, JobUpdate, NewJob, RetryRequest, StoreError, retry::deadline_exceeded},
+    domain::{JobId, JobState, Preparation},
+    store::{
+        Deletion, JobChange, JobUpdate, NewJob, RetryOutcome, RetryRequest, StoreError,
+        retry::deadline_exceeded,
+    },
 };
 use jiff::Timestamp;
 
@@ -33,12 +36,12 @@ pub(super) async fn fail_expired(connection: &mut Transaction, now: Timestamp) -
     Ok(late.len() as u64)
 }
 
-/// The job that retries `id`, or the state of `id` if it cannot be retried; `None` if there is no such job.
+/// The job that retries `id`, or why it cannot be retried; `None` if there is no such job.
 pub(super) async fn retry_of(
     connection: &mut Transaction,
     id: JobId,
     request: RetryRequest,
-) -> Result<Option<Result<NewJob, JobState>>, StoreError> {
+) -> Result<Option<Result<NewJob, RetryOutcome>>, StoreError> {
     let Some(record) = select_job(connection, id).await? else { return Ok(None) };
     let RetryRequest { id: new, key, from_checkpoint, options, change, deadline_at, intent } = request;
     let is_retryable = match record.job.state {
@@ -48,7 +51,18 @@ pub(super) async fn retry_of(
         JobState::Queued | JobState::Running => false,
     };
     if !is_retryable {
-        return Ok(Some(Err(record.job.state)));
+        return Ok(Some(Err(RetryOutcome::NotRetryable(record.job.state))));
+    }
+    let options = options.unwrap_or_else(|| record.job.options.clone());
+    let (mut dataset, mut needs, mut photographs) = (record.dataset, record.needs, record.photographs);
+    if let Some(of) = photographs
+        && options.camera_search() != record.job.options.camera_search()
+    {
+        // Cameras that another search found are not those that this one finds.
+        let Some(given) = datasets::of_photographs(connection, record.dataset_id, of).await? else {
+            return Ok(Some(Err(RetryOutcome::NoPhotographs)));
+        };
+        (dataset, needs, photographs) = (given.dataset, Preparation::of(given.summary.layout), None);
     }
     Ok(Some(Ok(NewJob {
         project: record.project,
@@ -61,9 +75,9 @@ pub(super) async fn retry_of(
         priority: record.priority,
         from_checkpoint,
         intent,
-        needs: record.needs,
-        photographs: record.photographs,
-        ..NewJob::new(new, options.unwrap_or(record.job.options), record.dataset)
+        needs,
+        photographs,
+        ..NewJob::new(new, options, dataset)
     })))
 }
 

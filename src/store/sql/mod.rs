@@ -169,7 +169,9 @@ impl Store {
         // By the archive that was sent: another may take its place.
         let sent = new.dataset;
         if new.needs > Preparation::None
-            && let Some(posed) = queue::posed_dataset(tx, new.project, new.dataset.digest).await?
+            && let Some(posed) =
+                queue::posed_dataset(tx, new.project, new.dataset.digest, &new.options.camera_search())
+                    .await?
         {
             new = NewJob {
                 photographs: Some(new.dataset.digest),
@@ -391,7 +393,7 @@ impl Store {
         self.call("retry_job").run(self.write(async move |tx, now| {
             Ok(match job_changes::retry_of(tx, id, request).await? {
                 None => None,
-                Some(Err(state)) => Some(RetryOutcome::NotRetryable(state)),
+                Some(Err(refused)) => Some(refused),
                 Some(Ok(new)) => Some(RetryOutcome::Created(Box::new(self.insert_job(tx, new, now).await?))),
             })
         }))

@@ -9,7 +9,8 @@ use super::{
 };
 use crate::{
     domain::{
-        Digest, EventKind, JobId, JobMetrics, JobState, Phase, Preparation, Problem, Progress, ProjectId,
+        CameraSearchOptions, Digest, EventKind, JobId, JobMetrics, JobState, Phase, Preparation, Problem,
+        Progress, ProjectId,
     },
     store::{
         ArtifactKind, AttemptRecord, BlobRef, Cancellation, Claim, Heartbeat, Lease, MAX_QUEUE_POSITION,
@@ -427,19 +428,26 @@ async fn remove_preview(connection: &mut Transaction, job: JobId) -> Result<(), 
         .await
 }
 
-/// The dataset with the cameras of photographs that a job of the project found before.
+/// The dataset with the cameras of photographs that a job of the project found before, by the same search.
 pub(super) async fn posed_dataset(
     connection: &mut Transaction,
     project: ProjectId,
     photographs: Digest,
+    search: &CameraSearchOptions,
 ) -> Result<Option<BlobRef>, StoreError> {
-    query(
-        "SELECT jobs.dataset, blobs.bytes FROM jobs JOIN blobs ON blobs.digest = jobs.dataset
-         WHERE jobs.project = ? AND jobs.photographs = ? ORDER BY jobs.created_at DESC LIMIT 1",
+    let found = query(
+        "SELECT jobs.dataset, blobs.bytes, jobs.options FROM jobs JOIN blobs ON blobs.digest = jobs.dataset
+         WHERE jobs.project = ? AND jobs.photographs = ? ORDER BY jobs.created_at DESC",
     )
     .bind_all(values![project.to_string(), photographs.to_string()])
-    .optional(connection, |row| rows::blob(row, "dataset"))
-    .await
+    .fetch_all(connection)
+    .await?;
+    for row in &found {
+        if rows::options(row)?.camera_search() == *search {
+            return rows::blob(row, "dataset").map(Some);
+        }
+    }
+    Ok(None)
 }
 
 /// The job's row if the lease is held; else [`StoreError::LeaseLost`].

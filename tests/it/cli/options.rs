@@ -21,6 +21,11 @@ fn schema(kind: OptionKind) -> Value {
             let pattern = format!("^{part}(/{part})*/?$");
             json!({ "type": "string", "minLength": 1, "maxLength": 200, "pattern": pattern })
         }
+        OptionKind::ChoiceOrBox(names) => {
+            let number = "[+-]?([0-9]+([.][0-9]*)?|[.][0-9]+)([eE][+-]?[0-9]+)?";
+            let pattern = format!("^({}|{number}(,{number}){{5}})$", names.join("|"));
+            json!({ "type": "string", "pattern": pattern })
+        }
         OptionKind::Choices(names) => json!({ "type": "array", "items": { "enum": names } }),
         OptionKind::Integer(least, most) => {
             let mut schema = json!({ "type": "integer", "minimum": least });

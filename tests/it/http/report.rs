@@ -193,6 +193,8 @@ async fn figures_are_comma_separated(server: &Server, path: &str) {
         ("psnr_before_quantisation", "30.5"),
         ("right_half_corrected_psnr", "31.25"),
         ("exposure_corrected", "true"),
+        ("crop_saved_bytes", "1234"),
+        ("crop_lost_psnr", "0.25"),
         ("integer_over_float_bits", "1.002"),
     ] {
         assert_eq!(cells[column], value, "{column}: {text}");

@@ -14,12 +14,12 @@ use glam::DVec3;
 use tcgs::{
     domain::{
         AnchorScene, Background, ByteCounts, Camera, CancelFlag, CodingEfficiency, CodingStages,
-        ColorFitScores, Conventions, CurvePoint, DatasetSummary, Digest, ExportFidelity, ExportedScene,
-        ExposureChoice, ExposureTrial, HeldOut, HeldOutView, Image, Intrinsics, JobId, JobMetrics, JobNeeds,
-        Lattice, Layout, LpipsNetwork, MemoryNeeds, Mlp, NamedCamera, NearPlane, Phase, PhaseSeconds, Pose,
-        Preview, Problem, ProblemType, Progress, ReadOptions, RenderNetworks, RenderingError, Scene,
-        SceneFormat, SceneFrame, SceneScale, Scores, Split, TrainOptions, ValueRange, ViewScore,
-        WorkerCounts, Workers,
+        ColorFitScores, Conventions, Crop, CropCost, CurvePoint, DatasetSummary, Digest, ExportFidelity,
+        ExportedScene, ExposureChoice, ExposureTrial, HeldOut, HeldOutView, Image, Intrinsics, JobId,
+        JobMetrics, JobNeeds, Lattice, Layout, LpipsNetwork, MemoryNeeds, Mlp, NamedCamera, NearPlane, Phase,
+        PhaseSeconds, Pose, Preview, Problem, ProblemType, Progress, ReadOptions, RenderNetworks,
+        RenderingError, Scene, SceneFormat, SceneFrame, SceneScale, Scores, Split, TrainOptions, ValueRange,
+        ViewScore, WorkerCounts, Workers,
     },
     engine::{PlacedExport, SceneEngine, SceneSource},
     pipeline::{CheckpointPlan, CurveFile, JobError, JobOutput, RunJob},
@@ -203,6 +203,12 @@ pub fn metrics() -> JobMetrics {
         frame: SceneFrame::around([5e5, 4e6, 10.0].into(), 6.0),
         color_fit: Some(ColorFitScores { views: 2, psnr: 29.5, corrected_psnr: 31.25 }),
         exposure: Some(ExposureChoice::by(ExposureTrial { views: 4, gain: 2.5, needed: 0.5 })),
+        crop: Some(CropCost {
+            region: Crop::Cameras,
+            gaussians_removed: 7,
+            saved_bytes: 1234,
+            lost_psnr: Some(0.25),
+        }),
         rd_curve: Vec::new(),
     }
 }

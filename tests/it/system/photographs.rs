@@ -57,7 +57,12 @@ impl Setup {
 
     /// How many searches have begun.
     fn searches(&self) -> usize {
-        fs::read_to_string(self.path("searches")).unwrap_or_default().lines().count()
+        self.lines("searches").len()
+    }
+
+    /// What searches have recorded.
+    fn lines(&self, name: &str) -> Vec<String> {
+        fs::read_to_string(self.path(name)).unwrap_or_default().lines().map(str::to_owned).collect()
     }
 
     fn write_interpreter(&self, dataset: &Dataset) {
@@ -75,12 +80,16 @@ impl Setup {
             echo '{{"version": "1.2.3", "network": "none"}}'
             [ "$last" = --probe ] && exit
             echo search >> searches
+            work=$(sed -n 's/.*"work":"\([^"]*\)".*/\1/p' "$last")
+            echo "$(sed -n 's/.*"camera_model":"\([^"]*\)","matching":"\([^"]*\)".*/\1 \2/p' "$last")" >> asked
+            # Features that an interrupted search has found.
+            [ -e "$work/features.db" ] && echo known >> known
+            touch "$work/features.db"
             echo '{{"stage": "features", "done": 12, "total": 48}}'
             case $(cat mode) in
             never) exec sleep 600;;
             no-overlap) echo '{{"failure": "no-overlap", "detail": "nothing in common"}}';;
             *)
-                work=$(sed -n 's/.*"work":"\([^"]*\)".*/\1/p' "$last")
                 mkdir -p "$work/sparse/0"
                 cp model/* "$work/sparse/0"
                 echo '{{"stage": "mapping", "done": 48, "total": 48, "reprojection_error": 0.5}}'
@@ -187,7 +196,7 @@ async fn a_job_of_photographs_finds_their_cameras_once() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_search_ends_with_its_job_and_begins_again_after_a_crash() {
+async fn a_search_ends_with_its_job_and_goes_on_after_a_crash_and_in_a_retry() {
     let setup = Setup::new();
     setup.answer("no-overlap");
     let service = setup.service().await;
@@ -211,10 +220,44 @@ async fn a_search_ends_with_its_job_and_begins_again_after_a_crash() {
     }
     let job = service.succeeded(&path).await;
     assert_eq!((&job["attempt"], setup.searches()), (&json!(2), 4));
+    assert_eq!(setup.lines("known").len(), 2, "the retry and its second attempt knew the features");
     // Nothing of the searches is left.
     let checkpoints = setup.path("data/checkpoints");
     let left: Vec<_> = fs::read_dir(&checkpoints).map(Iterator::collect).unwrap_or_default();
-    assert!(left.iter().flatten().all(|job| !job.path().join("poses-1").exists()), "{left:?}");
+    let is_left =
+        |job: &fs::DirEntry| ["poses-1", "poses-2"].iter().any(|name| job.path().join(name).exists());
+    assert!(!left.iter().flatten().any(is_left), "{left:?}");
+    assert_eq!(service.stop().await.code(), Some(0));
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn another_search_finds_cameras_anew_and_the_same_one_does_not() {
+    let setup = Setup::new();
+    let service = setup.service().await;
+    let post = async |options: &str| {
+        let query = format!("{SHORT}{options}");
+        let job = service.upload(&query, setup.photographs.clone()).await.expect(201).json();
+        let path = format!("/v1/jobs/{}", job["id"].as_str().expect("an id"));
+        service.succeeded(&path).await;
+        path
+    };
+    post("").await;
+    let wide = post("&camera_model=opencv&matching=sequential").await;
+    post("&camera_model=opencv&matching=sequential&seed=5").await;
+    post("&matching=auto").await;
+    assert_eq!(setup.lines("asked"), ["SIMPLE_RADIAL auto", "OPENCV sequential"]);
+
+    let retry = async |body: Value| {
+        let answer = service.send("POST", &format!("{wide}/retry"), |request| request.json(&body)).await;
+        let job = answer.expect(201).json();
+        service.succeeded(&format!("/v1/jobs/{}", job["id"].as_str().expect("an id"))).await
+    };
+    retry(json!({ "seed": 7 })).await;
+    retry(json!({ "camera_model": "simple-radial", "matching": "auto" })).await;
+    assert_eq!(setup.searches(), 2);
+    let job = retry(json!({ "camera_model": "radial" })).await;
+    assert_eq!(job["options"]["camera_model"], "radial");
+    assert_eq!(setup.lines("asked")[2..], ["RADIAL sequential"]);
     assert_eq!(service.stop().await.code(), Some(0));
 }
 

@@ -4,6 +4,7 @@ mod adam;
 mod basis;
 mod checkpoint;
 mod context;
+mod crop;
 mod loss;
 mod masked_loss;
 mod memory;

@@ -118,6 +118,38 @@ impl AnchorScene {
         self.masks.iter().filter(|kept| **kept).count()
     }
 
+    /// Center of the Gaussian of an offset, by its place in `masks`, in the scene's frame.
+    #[must_use]
+    pub fn gaussian_center(&self, offset: usize) -> [f32; 3] {
+        let anchor = offset / self.offsets_per_anchor;
+        let position = self.lattice.position(self.cells[anchor]);
+        std::array::from_fn(|axis| {
+            let scaling = self.scalings[anchor * SCALINGS_PER_ANCHOR + axis];
+            position[axis] + self.offsets[offset * 3 + axis] * scaling
+        })
+    }
+
+    /// The scene with those offsets alone that `kept` has, as `masks` does, without anchors that have none then.
+    #[must_use]
+    pub fn with_offsets(&self, kept: &[bool]) -> Self {
+        let k = self.offsets_per_anchor;
+        let masks: Vec<bool> = self.masks.iter().zip(kept).map(|(on, kept)| *on && *kept).collect();
+        let anchors: Vec<usize> =
+            (0..self.len()).filter(|anchor| masks[anchor * k..(anchor + 1) * k].contains(&true)).collect();
+        fn rows<T: Copy>(values: &[T], width: usize, anchors: &[usize]) -> Vec<T> {
+            anchors.iter().flat_map(|anchor| &values[anchor * width..(anchor + 1) * width]).copied().collect()
+        }
+        Self {
+            cells: rows(&self.cells, 1, &anchors),
+            features: rows(&self.features, self.feature_dim, &anchors),
+            scalings: rows(&self.scalings, SCALINGS_PER_ANCHOR, &anchors),
+            offsets: rows(&self.offsets, 3 * k, &anchors),
+            masks: rows(&masks, k, &anchors),
+            networks: self.networks.clone(),
+            ..*self
+        }
+    }
+
     /// Checks lengths, widths and finiteness.
     ///
     /// # Errors

@@ -71,6 +71,9 @@ pub struct Pose {
 }
 
 impl Pose {
+    /// A camera at the world's origin that looks along its z axis.
+    pub const IDENTITY: Self = Self { rotation: DMat3::IDENTITY, translation: DVec3::ZERO };
+
     /// A pose from a world-to-camera rotation and translation in OpenCV axes.
     ///
     /// # Errors

@@ -42,6 +42,22 @@ impl GaussianScene {
         self.means.is_empty()
     }
 
+    /// The scene with those Gaussians alone, in this order.
+    #[must_use]
+    pub fn with_only(&self, indices: &[usize]) -> Self {
+        fn chosen<T: Copy>(values: &[T], indices: &[usize]) -> Vec<T> {
+            indices.iter().map(|index| values[*index]).collect()
+        }
+        Self {
+            means: chosen(&self.means, indices),
+            log_scales: chosen(&self.log_scales, indices),
+            quats: chosen(&self.quats, indices),
+            opacity_logits: chosen(&self.opacity_logits, indices),
+            sh: chosen(&self.sh, indices),
+            ..*self
+        }
+    }
+
     /// Checks lengths, degree and finiteness.
     ///
     /// # Errors

@@ -4,7 +4,7 @@ use std::fmt;
 
 use serde::{Deserialize, Serialize};
 
-use super::{Background, Conventions, Convergence, Digest, ExposureChoice, LpipsNetwork, SceneFrame};
+use super::{Background, Conventions, Convergence, Crop, Digest, ExposureChoice, LpipsNetwork, SceneFrame};
 
 /// Image quality of one view, from 8-bit images.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -141,6 +141,30 @@ pub struct ByteBudget {
     pub gaussians_dropped: u64,
 }
 
+/// What a crop saved and cost: the delivered file against that of the whole scene, encoded with the same options.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct CropCost {
+    /// The region.
+    pub region: Crop,
+    /// Gaussians that were removed.
+    pub gaussians_removed: u64,
+    /// Bytes that the file of the whole scene has more; fewer if negative.
+    pub saved_bytes: i64,
+    /// Held-out PSNR in dB by which the file of the whole scene is better; null without held-out views.
+    pub lost_psnr: Option<f64>,
+}
+
+impl fmt::Display for CropCost {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { gaussians_removed, saved_bytes, lost_psnr, .. } = self;
+        write!(f, "saves {saved_bytes} bytes by {gaussians_removed} Gaussians")?;
+        match lost_psnr {
+            Some(lost) => write!(f, ", costs {lost:.2} dB of held-out PSNR"),
+            None => Ok(()),
+        }
+    }
+}
+
 /// One point of a rate-distortion curve: a branch of the run with its own `lambda`.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct CurvePoint {
@@ -252,6 +276,9 @@ pub struct JobMetrics {
     /// Whether color corrections were learnt; null for jobs of versions without them.
     #[serde(default)]
     pub exposure: Option<ExposureChoice>,
+    /// What the crop saved and cost; null without one.
+    #[serde(default)]
+    pub crop: Option<CropCost>,
     /// The points of `rd_curve` in the order given; the other metrics are those of the first. Else empty.
     #[serde(default)]
     pub rd_curve: Vec<CurvePoint>,

@@ -6,7 +6,8 @@ use super::JobMetrics;
 #[must_use]
 pub fn metrics_columns(metrics: &JobMetrics) -> Vec<(&'static str, String)> {
     let number = |value: Option<f64>| value.map_or_else(String::new, |value| value.to_string());
-    let JobMetrics { test, train, seconds, coding, stages, rendering, color_fit, exposure, .. } = metrics;
+    let JobMetrics { test, train, seconds, coding, stages, rendering, color_fit, exposure, crop, .. } =
+        metrics;
     let mut columns = vec![
         ("adapter", metrics.adapter.clone()),
         ("background", metrics.background.to_string()),
@@ -43,6 +44,8 @@ pub fn metrics_columns(metrics: &JobMetrics) -> Vec<(&'static str, String)> {
         ("right_half_corrected_psnr", number(color_fit.map(|fit| fit.corrected_psnr))),
         ("exposure_corrected", exposure.map_or_else(String::new, |choice| choice.corrected.to_string())),
         ("exposure_gain", number(exposure.and_then(|choice| Some(choice.trial?.gain)))),
+        ("crop_saved_bytes", crop.map_or_else(String::new, |crop| crop.saved_bytes.to_string())),
+        ("crop_lost_psnr", number(crop.and_then(|crop| crop.lost_psnr))),
     ]);
     columns
 }

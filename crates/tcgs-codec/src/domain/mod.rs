@@ -6,11 +6,13 @@
 pub mod anchors;
 pub mod camera;
 pub mod camera_path;
+mod camera_search;
 mod choice;
 pub mod choices;
 pub mod context_model;
 pub mod conventions;
 pub mod convergence;
+mod crop;
 pub mod digest;
 pub mod evenly_spaced;
 pub mod exposure;
@@ -37,6 +39,7 @@ pub mod view;
 
 pub use anchors::{AnchorScene, DenseLayer, Lattice, Mlp, RenderNetworks};
 pub use camera::{Camera, CameraError, Convention, Intrinsics, Pose};
+pub use camera_search::{CameraModel, CameraSearchOptions, Matching};
 pub use choices::{Choices, SizeBound, Widths};
 pub use context_model::{
     AttributeGroup, ContextCandidates, ContextFrame, ContextKind, GroupNetworks, PlaneContext, Planes,
@@ -44,6 +47,7 @@ pub use context_model::{
 };
 pub use conventions::{Conventions, LpipsNetwork};
 pub use convergence::{Convergence, ValidationScore};
+pub use crop::{Crop, CropError};
 pub use digest::Digest;
 pub use exposure::{Exposure, ExposureChoice, ExposureTrial};
 pub use format::SceneFormat;
@@ -55,8 +59,8 @@ pub use metadata::{
     MAX_LABEL_KEY, MAX_LABEL_VALUE, MAX_LABELS, MAX_NAME, Metadata, MetadataError, valid_name,
 };
 pub use metrics::{
-    ByteBudget, ByteCounts, CodingEfficiency, CodingStages, ColorFitScores, CurvePoint, GroupQstepLog2,
-    JobMetrics, PhaseSeconds, RenderingError, Scores, ViewScore,
+    ByteBudget, ByteCounts, CodingEfficiency, CodingStages, ColorFitScores, CropCost, CurvePoint,
+    GroupQstepLog2, JobMetrics, PhaseSeconds, RenderingError, Scores, ViewScore,
 };
 pub use metrics_table::{csv_cell, metrics_columns};
 pub use near_plane::NearPlane;

@@ -6,7 +6,10 @@ use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use thiserror::Error;
 
-use super::{ExifOrientation, Exposure, HoldOut, MaskMode, MaskSource, ReadOptions, choice::named_choice};
+use super::{
+    CameraModel, CameraSearchOptions, Crop, ExifOrientation, Exposure, HoldOut, MaskMode, MaskSource,
+    Matching, ReadOptions, choice::named_choice,
+};
 
 /// Largest seed: the largest whole number that readers of JSON represent exactly if they use 64-bit floats, as JavaScript's do.
 pub const MAX_SEED: u64 = (1 << 53) - 1;
@@ -214,6 +217,15 @@ pub struct TrainOptions {
     /// Whether each photograph has a color correction of its own; serialized only if it is stated.
     #[serde(skip_serializing_if = "is_default")]
     pub exposure: Exposure,
+    /// The region that the finished scene keeps; serialized only if it is stated.
+    #[serde(skip_serializing_if = "is_default")]
+    pub crop: Crop,
+    /// The model of cameras that are found before training; serialized only if it is stated.
+    #[serde(skip_serializing_if = "is_default")]
+    pub camera_model: CameraModel,
+    /// Which photographs are compared to find cameras; serialized only if it is stated.
+    #[serde(skip_serializing_if = "is_default")]
+    pub matching: Matching,
 }
 
 /// Whether a number stays positive and normal in single precision.
@@ -248,6 +260,9 @@ impl Default for TrainOptions {
             skip_missing: false,
             holdout: HoldOut::Auto,
             exposure: Exposure::Auto,
+            crop: Crop::None,
+            camera_model: CameraModel::SimpleRadial,
+            matching: Matching::Auto,
         }
     }
 }
@@ -264,6 +279,21 @@ impl TrainOptions {
             skip_missing: *skip_missing,
             holdout: *holdout,
         }
+    }
+
+    /// Those that training itself depends on, besides its dataset: the others have their defaults.
+    #[must_use]
+    pub fn of_training(&self) -> Self {
+        let Self { crop, camera_model, matching, .. } = Self::default();
+        Self { crop, camera_model, matching, ..self.clone() }
+    }
+
+    /// How cameras are found, if the dataset has none: another search may find others.
+    #[must_use]
+    pub fn camera_search(&self) -> CameraSearchOptions {
+        let Self { camera_model, matching, masks, mask_mode, .. } = self;
+        let masks = if *mask_mode == MaskMode::CutOut { MaskSource::None } else { masks.clone() };
+        CameraSearchOptions { camera_model: *camera_model, matching: *matching, masks }
     }
 
     /// Whether a part of the method takes part: the baselines have none of them.
@@ -309,6 +339,7 @@ impl TrainOptions {
         self.check_max_bytes()?;
         self.check_gaussians()?;
         self.check_rd_curve()?;
+        self.crop.check().map_err(|error| OptionError::new("crop", error.to_string()))?;
         Ok(self)
     }
 
@@ -443,6 +474,8 @@ pub enum OptionKind {
     ChoiceOrPositive(&'static [&'static str]),
     /// One of these names, or the path of a folder in the dataset.
     ChoiceOrFolder(&'static [&'static str]),
+    /// One of these names, or six numbers separated by commas: two corners of a box.
+    ChoiceOrBox(&'static [&'static str]),
     /// True or false.
     Switch,
 }
@@ -460,6 +493,9 @@ impl fmt::Display for OptionKind {
             OptionKind::ChoiceOrFolder(names) => {
                 write!(f, "{} or the path of a folder in the dataset", names.join(", "))
             }
+            OptionKind::ChoiceOrBox(names) => {
+                write!(f, "{} or a box x0,y0,z0,x1,y1,z1", names.join(", "))
+            }
             OptionKind::Switch => f.write_str("true or false"),
         }
     }
@@ -474,7 +510,10 @@ impl OptionKind {
     fn text_of(self, value: &Value) -> Option<String> {
         let one = |value: &Value| match (self, value) {
             (
-                OptionKind::Choice(_) | OptionKind::Choices(_) | OptionKind::ChoiceOrFolder(_),
+                OptionKind::Choice(_)
+                | OptionKind::Choices(_)
+                | OptionKind::ChoiceOrFolder(_)
+                | OptionKind::ChoiceOrBox(_),
                 Value::String(text),
             ) => Some(text.clone()),
             (OptionKind::ChoiceOrPositive(names), Value::String(text)) => {
@@ -485,6 +524,7 @@ impl OptionKind {
                 OptionKind::Choice(_)
                 | OptionKind::Choices(_)
                 | OptionKind::ChoiceOrFolder(_)
+                | OptionKind::ChoiceOrBox(_)
                 | OptionKind::Switch,
                 _,
             ) => None,
@@ -561,7 +601,7 @@ impl TrainOption {
 
 /// Every option of a training run. The command line's flags, the query string and JSON are read by it, and a test holds `openapi.yaml`
 /// to it.
-pub static TRAIN_OPTIONS: [TrainOption; 21] = [
+pub static TRAIN_OPTIONS: [TrainOption; 24] = [
     TrainOption {
         name: "preset",
         kind: OptionKind::Choice(Preset::NAMES),
@@ -752,6 +792,33 @@ pub static TRAIN_OPTIONS: [TrainOption; 21] = [
         ),
         set: |options, text| text.parse().ok().map(|exposure| options.exposure = exposure),
     },
+    TrainOption {
+        name: "crop",
+        kind: OptionKind::ChoiceOrBox(&["none", "cameras"]),
+        default: Some("none"),
+        help: Some(
+            "Keep a part of the finished scene: what at least half of the training cameras have in view (cameras), or a box x0,y0,z0,x1,y1,z1 in the dataset's world",
+        ),
+        set: |options, text| text.parse().ok().map(|crop| options.crop = crop),
+    },
+    TrainOption {
+        name: "camera_model",
+        kind: OptionKind::Choice(CameraModel::NAMES),
+        default: Some("simple-radial"),
+        help: Some(
+            "COLMAP's model of cameras that are found first, of photographs without them; other datasets state theirs",
+        ),
+        set: |options, text| text.parse().ok().map(|model| options.camera_model = model),
+    },
+    TrainOption {
+        name: "matching",
+        kind: OptionKind::Choice(Matching::NAMES),
+        default: Some("auto"),
+        help: Some(
+            "Photographs without cameras that are compared to find them: exhaustive (all pairs), sequential (neighbors by name), auto (all pairs of up to 200)",
+        ),
+        set: |options, text| text.parse().ok().map(|matching| options.matching = matching),
+    },
 ];
 
 /// As much of a value as a message repeats.
@@ -809,6 +876,9 @@ mod tests {
             target_gaussians: Some(1),
             max_gaussians: Some(1),
             exposure: Exposure::On,
+            crop: Crop::Cameras,
+            camera_model: CameraModel::Opencv,
+            matching: Matching::Exhaustive,
             ..TrainOptions::default()
         };
         let all = TrainOptions { with, until: Until::Converged, ..stated };
@@ -968,6 +1038,19 @@ mod tests {
         for edge in [0.0, -1.0, f64::NAN, f64::INFINITY, 1e-300, 1e300] {
             let options = TrainOptions { voxel: Voxel::Edge(edge), ..TrainOptions::default() };
             assert_eq!(options.validated().expect_err("no length").option, "voxel", "{edge}");
+        }
+    }
+
+    #[test]
+    fn a_region_is_checked_with_the_options() {
+        let crop = validated(&[("crop", "-1,-1,-1,1,1,1")]).expect("possible").crop;
+        assert_eq!(crop, Crop::Box([-1.0; 3], [1.0; 3]));
+        for wrong in ["1,1,1,-1,-1,-1", "0,0,0,1,1,nan"] {
+            assert_eq!(validated(&[("crop", wrong)]).expect_err(wrong).option, "crop");
+        }
+        let usual = serde_json::to_value(TrainOptions::default()).expect("JSON");
+        for option in ["crop", "camera_model", "matching"] {
+            assert!(usual.get(option).is_none(), "{option}");
         }
     }
 

@@ -138,6 +138,7 @@ problem_types! {
     VideoUnavailable = 503, "video-unavailable", "Videos cannot be read here";
     TrainingFailed = 422, "training-failed", "Training failed";
     MemoryBudget = 507, "memory-budget", "Not enough memory";
+    EmptyCrop = 422, "empty-crop", "The crop leaves nothing";
     MaxBytesUnreachable = 507, "max-bytes-unreachable", "The file cannot be made so small";
     CheckpointRefused = 422, "checkpoint-refused", "The checkpoint cannot be used";
     PhotographLost = 500, "photograph-lost", "A photograph was lost";

@@ -2,6 +2,7 @@
 
 mod causes;
 pub mod clock;
+mod crop_region;
 pub mod dataset;
 mod exported_scene;
 pub mod failure_point;
@@ -11,6 +12,7 @@ mod placement;
 
 pub use causes::{causes, is_no_space};
 pub use clock::{Clock, ManualClock, SystemClock};
+pub use crop_region::CropRegion;
 pub use dataset::{Dataset, DatasetSummary, Frame, Layout, NamedCamera, PointCloud, Split};
 pub use exported_scene::{ExportFidelity, ExportedScene};
 pub use failure_point::FailurePoint;

@@ -5,7 +5,7 @@
 
 use std::borrow::Cow;
 
-use super::{quality::psnr_counted, ssim::ssim_where};
+use super::{BandErrors, band_errors, quality::psnr_counted, ssim::ssim_where};
 use crate::domain::{Background, Frame, Image, PhotographError, PixelMask, ViewScore};
 
 /// A photograph to compare renders with.
@@ -43,6 +43,17 @@ impl Target {
     /// Which pixels count; all without one.
     pub(super) fn mask(&self) -> Option<&PixelMask> {
         self.mask.as_ref()
+    }
+
+    /// Errors by band of a render, over the pixels that count; `None` if it is not of the photograph's shape or no pixel counts.
+    #[must_use]
+    pub fn band_errors(&self, render: &Image) -> Option<BandErrors> {
+        let errors = band_errors(&self.masked(render), &self.photograph)?;
+        let Some(mask) = &self.mask else { return Some(errors) };
+        // Elsewhere both are black, so that sums of differences are those of the pixels that count.
+        let pixels = u64::from(mask.width()) * u64::from(mask.height());
+        let share = mask.counted() as f64 / pixels as f64;
+        (share > 0.0).then(|| BandErrors { low: errors.low / share, high: errors.high / share })
     }
 
     /// A render, black where no pixel counts.
@@ -103,6 +114,18 @@ mod tests {
         let all = Target::new(b.clone(), Some(PixelMask::from_fn(40, 23, |_, _| true)));
         assert_eq!(all.score("a", &a), score_view("a", &a, &b));
         assert_eq!(Target::new(b.clone(), None).score("a", &a), score_view("a", &a, &b));
+    }
+
+    #[test]
+    fn errors_by_band_are_means_over_what_counts() {
+        // The left half, whose blocks of 4 x 4 pixels lie within it.
+        let left = PixelMask::from_fn(32, 16, |x, _| x < 16);
+        let gray = |value: u8| Image::new(32, 16, 3, vec![value; 32 * 16 * 3]).expect("an image");
+        let all = Target::new(gray(100), None).band_errors(&gray(151)).expect("comparable");
+        let half = Target::new(gray(100), Some(left)).band_errors(&gray(151)).expect("comparable");
+        assert!((half.low - all.low).abs() < 1e-12 && half.high == 0.0, "{half:?} {all:?}");
+        let none = PixelMask::from_fn(32, 16, |_, _| false);
+        assert_eq!(Target::new(gray(100), Some(none)).band_errors(&gray(151)), None);
     }
 
     #[test]

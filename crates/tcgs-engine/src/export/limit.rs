@@ -22,14 +22,7 @@ pub fn limited(scene: &GaussianScene, cameras: &[Camera], count: usize) -> Gauss
     kept.sort_by(|a, b| shown[*b].total_cmp(&shown[*a]).then(a.cmp(b)));
     kept.truncate(count);
     kept.sort_unstable();
-    GaussianScene {
-        means: kept.iter().map(|index| scene.means[*index]).collect(),
-        log_scales: kept.iter().map(|index| scene.log_scales[*index]).collect(),
-        quats: kept.iter().map(|index| scene.quats[*index]).collect(),
-        opacity_logits: kept.iter().map(|index| scene.opacity_logits[*index]).collect(),
-        sh: kept.iter().map(|index| scene.sh[*index]).collect(),
-        ..scene.clone()
-    }
+    scene.with_only(&kept)
 }
 
 /// Light of each Gaussian in all views, in pixels.

@@ -5,7 +5,7 @@ use super::{
     limits::Limits,
     mask_pixels::Plane,
     mask_reader::FrameMasks,
-    survey::SurveyedFrame,
+    surveyed_frame::SurveyedFrame,
     tree::Tree,
 };
 use crate::domain::{Image, PixelMask};

@@ -25,11 +25,13 @@ mod disk_faults;
 mod distortion;
 mod end_record;
 mod error;
+mod error_text;
 mod fields;
 mod finish;
 mod folder;
 mod formats;
 mod image_files;
+mod image_places;
 mod images;
 mod lens;
 mod limits;
@@ -52,10 +54,13 @@ mod source;
 mod sparse_model;
 mod spill;
 mod survey;
+mod survey_notes;
+mod surveyed_frame;
 mod table_reader;
 mod transforms;
 mod tree;
 mod unposed;
+mod unposed_masks;
 mod unused;
 mod valid_region;
 mod video;
@@ -89,7 +94,8 @@ use self::{
     deadline::Deadline,
     semaphore::Semaphore,
     spill::Spill,
-    survey::{Survey, SurveyOptions, SurveyedFrame, survey},
+    survey::{Survey, SurveyOptions, survey},
+    surveyed_frame::SurveyedFrame,
     tree::{Purpose, Tree},
 };
 use crate::domain::{

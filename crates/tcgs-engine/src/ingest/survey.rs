@@ -3,48 +3,35 @@
 //! Pixels are decoded only to decide about EXIF orientations that sizes do not decide ([`super::orientation`]), and only within
 //! [`SurveyOptions::decode_bytes`].
 
-use std::{
-    collections::BTreeMap,
-    sync::{Arc, OnceLock},
-};
-
-use glam::DVec3;
-use image::metadata::Orientation;
+use std::{collections::BTreeMap, sync::Arc};
 
 use super::{
     colmap,
-    distortion::{Crop, Distortion},
+    distortion::Crop,
     error::{IngestError, IngestErrorKind, Result},
-    images::{self, DECODE_BYTES, Header},
+    images::{self, Header},
     lens::{Lens, resized},
     limits::Limits,
-    mask_pixels::Plane,
     mask_reader::{FrameMasks, MaskOptions, MaskReader},
     mask_search::find_masks,
     orientation::{Comparison, Decision, Evidence, EvidenceCounts, MAX_COMPARED, Reading, Unknown, evidence},
     plan::{Plan, PlannedFrame},
     points::Points,
-    provenance, roots, transforms,
+    provenance, roots,
+    survey_notes::{Changes, distance_note},
+    surveyed_frame::{SurveyedFrame, ValidPixels},
+    transforms,
     tree::Tree,
     unused::{Taken, note_outside, note_unused},
     valid_region::{self, Kept},
 };
 use crate::domain::{
-    Camera, DatasetSummary, HoldOut, Image, Intrinsics, Layout, NamedCamera, PixelMask, PointCloud,
-    ReadOptions, Split, evenly_spaced::evenly_spaced,
+    Camera, DatasetSummary, HoldOut, Image, Intrinsics, Layout, NamedCamera, PointCloud, ReadOptions, Split,
+    evenly_spaced::evenly_spaced,
 };
 
 /// Farthest camera from the origin that single precision can still work with.
 const MAX_CAMERA_DISTANCE: f64 = 1e9;
-
-/// Distance from the origin, in radii of the cameras' own extent, from which coordinates are noted as far out.
-const FAR_OUT: f64 = 1000.0;
-
-/// Distance in world units from which coordinates are those of a map or of the Earth, unless the cameras are as far apart.
-const MAP_DISTANCE: f64 = 1e5;
-
-/// How often a scene's radius fits into that distance at least.
-const MAP_RADII: f64 = 20.0;
 
 /// What a survey depends on besides the dataset.
 pub(super) struct SurveyOptions<'a> {
@@ -108,105 +95,8 @@ impl Survey {
     }
 }
 
-/// The pixels that a lens saw, computed once they are wanted.
-type ValidPixels = Arc<OnceLock<PixelMask>>;
-
 /// A lens by its index, and the width and height of an image of it.
 type LensAndSize = (usize, (u32, u32));
-
-/// One frame and how its image is processed.
-pub(super) struct SurveyedFrame {
-    pub(super) frame: PlannedFrame,
-    /// The camera of the finished image.
-    pub(super) camera: Camera,
-    /// How the stored pixels are turned first.
-    pub(super) turn: Orientation,
-    /// Pinhole intrinsics of the image so turned, distortion aside.
-    stored: Intrinsics,
-    /// Whether the stored image may be transparent.
-    alpha: bool,
-    distortion: Distortion,
-    crop: Crop,
-    /// The masks, and what they mean.
-    pub(super) masks: FrameMasks,
-    /// The pixels that the lens saw, computed once for all photographs of a camera and size; `None` if it saw all.
-    valid: Option<ValidPixels>,
-}
-
-/// Bytes a pixel of an image in single precision, as the filter that downscales works on it.
-const FILTER_BYTES: u64 = 16;
-
-impl SurveyedFrame {
-    /// The most memory that decoding and finishing the image takes, besides the stored file.
-    pub(super) fn decode_bytes(&self) -> u64 {
-        let (from, to) = (&self.stored, &self.camera.intrinsics);
-        let pixels = |width: u32, height: u32| u64::from(width) * u64::from(height);
-        let channels = if self.alpha || self.masks.cuts_out() { 4 } else { 3 };
-        // As stored, undistorted, weighted by alpha; then filtered down, then across.
-        let mut resampling = channels * pixels(from.width, from.height);
-        if !self.distortion.is_none() {
-            resampling += channels * pixels(from.width, from.height);
-        }
-        if self.crop.width != to.width {
-            let weighted =
-                if self.alpha { FILTER_BYTES * pixels(self.crop.width, self.crop.height) } else { 0 };
-            resampling += weighted
-                + FILTER_BYTES * pixels(self.crop.width, to.height)
-                + (FILTER_BYTES + channels) * pixels(to.width, to.height);
-        }
-        let masks = self.masks.decode_bytes(pixels(from.width, from.height), self.alpha);
-        resampling.max(DECODE_BYTES * pixels(from.width, from.height)).saturating_add(masks)
-    }
-
-    /// Width and height of the stored and turned image.
-    pub(super) fn stored_size(&self) -> (u32, u32) {
-        (self.stored.width, self.stored.height)
-    }
-
-    /// Which pixels of the finished image count by a mask of the stored and turned one: those of which all that they show does.
-    pub(super) fn finish_mask(&self, plane: Plane) -> Option<PixelMask> {
-        let plane = if self.distortion.is_none() {
-            plane
-        } else {
-            let image = plane.to_image()?;
-            drop(plane);
-            Plane::of_image(&self.distortion.undistort(&image, &self.stored, self.crop))
-        };
-        let finished = self.camera.intrinsics;
-        plane.downscaled(finished.width, finished.height).mask()
-    }
-
-    /// The pixels of the finished image that the lens saw; `None` if it saw all.
-    pub(super) fn valid_pixels(&self) -> Option<PixelMask> {
-        let size = (self.camera.intrinsics.width, self.camera.intrinsics.height);
-        let compute = || valid_region::valid_pixels(&self.distortion, &self.stored, size);
-        self.valid.as_ref().map(|valid| valid.get_or_init(compute).clone())
-    }
-
-    /// The finished image from the stored and turned one.
-    ///
-    /// # Errors
-    /// [`IngestErrorKind::Image`] if the pixels are not of the size that the header promised.
-    pub(super) fn finish(&self, image: Image) -> Result<Image> {
-        let (actual, expected) = ((image.width(), image.height()), (self.stored.width, self.stored.height));
-        if actual != expected {
-            return Err(IngestErrorKind::Image(format!(
-                "the header says {expected:?} pixels and the data {actual:?}"
-            )));
-        }
-        let image = if self.distortion.is_none() {
-            image
-        } else {
-            self.distortion.undistort(&image, &self.stored, self.crop)
-        };
-        let finished = self.camera.intrinsics;
-        Ok(if image.width() == finished.width {
-            image
-        } else {
-            super::sampling::downscaled(image, finished.width, finished.height)
-        })
-    }
-}
 
 /// Surveys the dataset in `tree`, which becomes the tree of its folder.
 ///
@@ -426,29 +316,6 @@ impl Comparer<'_> {
     }
 }
 
-/// A note on coordinates as far from the origin as those of maps and of the whole Earth are: other programs read them in single
-/// precision.
-fn distance_note(views: &[SurveyedFrame]) -> Option<String> {
-    let centers: Vec<DVec3> = views.iter().map(|view| view.frame.pose.center()).collect();
-    let mean = centers.iter().sum::<DVec3>() / centers.len().max(1) as f64;
-    let radius = centers.iter().map(|center| center.distance(mean)).fold(0.0, f64::max);
-    let distance = mean.length();
-    let radii = if distance >= MAP_DISTANCE { MAP_RADII } else { FAR_OUT };
-    if radius == 0.0 || distance < radii * radius {
-        return None;
-    }
-    // The distance between neighboring numbers of single precision.
-    let step =
-        f64::from((mean.abs().max_element() as f32).next_up()) - f64::from(mean.abs().max_element() as f32);
-    // Zero without a sign.
-    let DVec3 { x, y, z } = mean.round() + 0.0;
-    Some(format!(
-        "the cameras are {distance:.0} units from the origin, around ({x}, {y}, {z}), and within {radius:.3} of each other, as in UTM \
-         or ECEF coordinates: training does not mind, but single precision has steps of {step} there, so exported files may be \
-         relative to an offset, which they state"
-    ))
-}
-
 /// The plan by whichever layout the files are in. `transforms.json` states its own cameras, so it takes precedence over a reconstruction
 /// beside it; the Blender files also state the split, so they go first.
 fn plan(tree: &Tree, read: &ReadOptions) -> Result<Plan, IngestError> {
@@ -470,73 +337,6 @@ fn for_training(k: Intrinsics) -> Intrinsics {
     }
     let height = (u64::from(k.height) * u64::from(width) / u64::from(k.width)).max(1) as u32;
     resized(k, (k.width, k.height), (width, height))
-}
-
-/// How many images were changed and how, for the notes.
-#[derive(Default)]
-struct Changes {
-    smaller_than_stated: usize,
-    undistorted: usize,
-    /// The largest angle from the axis, in degrees, of the pictures of lenses that may be wide.
-    angle: Option<f64>,
-    masked: usize,
-    cropped: Option<((u32, u32), (u32, u32))>,
-    downscaled: usize,
-}
-
-impl Changes {
-    fn count(&mut self, stated: Option<(u32, u32)>, view: &SurveyedFrame) {
-        let size = |k: &Intrinsics| (k.width, k.height);
-        let (stored, crop) = (&view.stored, (view.crop.width, view.crop.height));
-        self.smaller_than_stated += usize::from(stated.is_some_and(|stated| stated != size(stored)));
-        self.undistorted += usize::from(!view.distortion.is_none());
-        self.masked += usize::from(view.valid.is_some());
-        if matches!(view.distortion, Distortion::Projection(_)) {
-            let angle = corner_angle(&view.camera.intrinsics);
-            self.angle = Some(self.angle.map_or(angle, |largest| largest.max(angle)));
-        }
-        if self.cropped.is_none() && size(stored) != crop {
-            self.cropped = Some((size(stored), crop));
-        }
-        self.downscaled += usize::from(view.camera.intrinsics.width != view.crop.width);
-    }
-
-    fn note(&self, notes: &mut Vec<String>) {
-        if self.smaller_than_stated > 0 {
-            notes.push(format!(
-                "images smaller than their camera states: {}; the intrinsics were scaled to them",
-                self.smaller_than_stated
-            ));
-        }
-        if self.undistorted > 0 {
-            let crop = self.cropped.map_or_else(String::new, |((w, h), (to_w, to_h))| {
-                format!(", cropped to what the lens saw ({w}x{h} to {to_w}x{to_h})")
-            });
-            let angle = self.angle.map_or_else(String::new, |angle| {
-                format!("; at the stated focal length, the corners are {angle:.0} degrees from the axis")
-            });
-            notes.push(format!("images undistorted: {}{crop}{angle}", self.undistorted));
-        }
-        if self.masked > 0 {
-            notes.push(format!(
-                "images with borders that the lens did not see: {}; these are neither learnt nor measured",
-                self.masked
-            ));
-        }
-        if self.downscaled > 0 {
-            notes.push(format!(
-                "images wider than {} pixels, downscaled to that width: {}",
-                Limits::TRAINING_WIDTH,
-                self.downscaled
-            ));
-        }
-    }
-}
-
-/// The angle of the farthest corner from the axis, in degrees.
-fn corner_angle(k: &Intrinsics) -> f64 {
-    let far = |center: f64, side: u32, focal: f64| center.abs().max((f64::from(side) - center).abs()) / focal;
-    far(k.cx, k.width, k.fx).hypot(far(k.cy, k.height, k.fy)).atan().to_degrees()
 }
 
 #[cfg(test)]

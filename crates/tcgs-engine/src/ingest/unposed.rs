@@ -16,12 +16,12 @@ use super::{
     formats,
     images::{self, is_image_name},
     limits::Limits,
-    masks::is_mask_folder,
+    masks::{is_mask_folder, name_of, stem_of},
     plan::folder_of,
     tree::{Purpose, Tree},
     video::{SIGNATURE_BYTES, is_video, is_video_name},
 };
-use crate::domain::{DatasetSummary, Layout};
+use crate::domain::{DatasetSummary, Layout, MaskSource};
 
 /// Names of COLMAP's tables, without extension.
 const TABLES: [&str; 2] = ["cameras", "images"];
@@ -67,6 +67,20 @@ impl Unposed {
         }
     }
 
+    /// With the images in the folder that is named for masks among its masks.
+    #[must_use]
+    pub fn with_masks(self, source: &MaskSource) -> Self {
+        match (self, source) {
+            (Self::Photographs { names, mut masks }, MaskSource::Folder(folder)) => {
+                let folder = format!("{}/", folder.trim_end_matches('/').trim_start_matches("./"));
+                let (named, names) = names.into_iter().partition(|name| name.starts_with(&folder));
+                masks.extend::<Vec<String>>(named);
+                Self::Photographs { names, masks }
+            }
+            (other, _) => other,
+        }
+    }
+
     /// Writes the files into the folder `to`, by their names.
     ///
     /// # Errors
@@ -105,13 +119,10 @@ impl Unposed {
 /// # Errors
 /// [`IngestErrorKind::UnreadFormat`].
 fn expect_read<'a>(files: impl Iterator<Item = &'a str>, photographs: &[String]) -> Result<(), IngestError> {
-    fn stem(name: &str) -> &str {
-        name.rsplit_once('.').map_or("", |(stem, _)| stem)
-    }
-    let read: BTreeSet<&str> = photographs.iter().map(|name| stem(name)).collect();
+    let read: BTreeSet<&str> = photographs.iter().map(|name| stem_of(name)).collect();
     for name in files {
         let format = formats::by_name(name).filter(|format| format.is_of_cameras());
-        if let Some(format) = format.filter(|_| !read.contains(stem(name))) {
+        if let Some(format) = format.filter(|_| !read.contains(stem_of(name))) {
             let remedy = format.remedy(name);
             return Err(IngestErrorKind::UnreadFormat { format: format.name, remedy }.at(name));
         }
@@ -121,7 +132,7 @@ fn expect_read<'a>(files: impl Iterator<Item = &'a str>, photographs: &[String])
 
 /// Whether a file is a table of cameras: then the files are a dataset in the wrong place, or several.
 fn is_table(name: &str) -> bool {
-    let name = name.rsplit('/').next().unwrap_or(name).to_lowercase();
+    let name = name_of(name).to_lowercase();
     let is_transforms = name.starts_with("transforms") && name.ends_with(".json");
     is_transforms
         || TABLES.iter().any(|table| name == format!("{table}.txt") || name == format!("{table}.bin"))

@@ -128,6 +128,7 @@ mod tests {
             frame: None,
             color_fit: None,
             exposure: None,
+            crop: None,
             rd_curve: Vec::new(),
         };
         FinishedBranch { file: b"a file".to_vec(), metrics }

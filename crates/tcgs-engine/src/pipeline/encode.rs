@@ -40,15 +40,19 @@ pub(super) struct EncodedFile {
     pub(super) file: SceneFile,
     pub(super) budget: Option<ByteBudget>,
     pub(super) coding: Option<CodingEfficiency>,
+    /// Base quantization steps of a file that is coded.
+    pub(super) quant_steps: Option<BaseQuantSteps>,
     pub(super) encode_seconds: f64,
     pub(super) decode_seconds: f64,
 }
 
-/// Writes the file and reads it back. Calls `heartbeat` between the parts of a long encoding.
+/// Writes the file and reads it back, with the base quantization steps of training, else `quant_steps`, else those that training views
+/// choose. Calls `heartbeat` between the parts of a long encoding.
 pub(super) fn write_file(
     inputs: &RunInputs<'_>,
     options: &TrainOptions,
     trained: &Trained,
+    mut quant_steps: Option<BaseQuantSteps>,
     heartbeat: &mut dyn FnMut(),
 ) -> Result<EncodedFile, JobError> {
     let started = Instant::now();
@@ -60,8 +64,10 @@ pub(super) fn write_file(
             (bytes, None, None)
         }
         (Scene::Anchors(scene), _) => {
-            let (encoded, budget) =
-                Encoder { inputs, options, context, choices: &trained.choices }.encode(scene, heartbeat)?;
+            let encoder = Encoder { inputs, options, context, choices: &trained.choices };
+            let steps = encoder.quant_steps(scene, quant_steps, heartbeat)?;
+            quant_steps = Some(steps);
+            let (encoded, budget) = encoder.encode(scene, steps, heartbeat)?;
             (encoded.bytes, budget, Some(encoded.context))
         }
         (Scene::Gaussians(scene), _) => {
@@ -81,7 +87,7 @@ pub(super) fn write_file(
         }
         None => None,
     };
-    Ok(EncodedFile { bytes, file, budget, coding, encode_seconds, decode_seconds })
+    Ok(EncodedFile { bytes, file, budget, coding, quant_steps, encode_seconds, decode_seconds })
 }
 
 /// The file of a trained scene: `.tcgs`, or the file of a baseline. `dataset` and `options` are those that it was trained with.
@@ -105,7 +111,7 @@ pub fn encode(
         is_watched: false,
         ingest_seconds: 0.0,
     };
-    match write_file(&inputs, options, trained, &mut || ()) {
+    match write_file(&inputs, options, trained, None, &mut || ()) {
         Ok(written) => Ok(written.bytes),
         Err(JobError::Fail(problem) | JobError::Retry(problem) | JobError::Hold(problem)) => Err(problem),
         Err(JobError::Cancelled) => unreachable!("nothing cancels it"),
@@ -121,26 +127,37 @@ struct Encoder<'a> {
 }
 
 impl Encoder<'_> {
-    /// Codes within the target size, if there is one, with the quantization steps of training. Chooses the steps if the run ended
-    /// before any were trained.
-    fn encode(
+    /// The quantization steps of training; `known` ones, else those that training views choose, if the run ended before any were trained.
+    fn quant_steps(
         &self,
         scene: &AnchorScene,
+        known: Option<BaseQuantSteps>,
         heartbeat: &mut dyn FnMut(),
-    ) -> Result<(Encoded, Option<ByteBudget>), JobError> {
+    ) -> Result<BaseQuantSteps, JobError> {
         let Self { inputs, options, context, .. } = self;
-        let background = options.background;
-        let steps = match context {
-            Some(context) => context.base_quant_steps,
+        let steps = match context.map(|context| context.base_quant_steps).or(known) {
+            Some(steps) => steps,
             None => {
                 let views = inputs.train_views(STEP_VIEWS);
-                choose_quant_steps(&inputs.device, scene, &views, background, &mut || {
+                choose_quant_steps(&inputs.device, scene, &views, options.background, &mut || {
                     heartbeat();
                     !inputs.cancel.is_cancelled()
                 })?
             }
         };
         inputs.check_cancelled()?;
+        Ok(steps)
+    }
+
+    /// Codes with these quantization steps, within the target size if there is one.
+    fn encode(
+        &self,
+        scene: &AnchorScene,
+        steps: BaseQuantSteps,
+        heartbeat: &mut dyn FnMut(),
+    ) -> Result<(Encoded, Option<ByteBudget>), JobError> {
+        let Self { inputs, options, .. } = self;
+        let background = options.background;
         let mut encode = |attempt: EncodeAttempt<'_>| self.encode_attempt(attempt, steps);
         let Some(limit) = options.max_bytes else {
             let search = ContextSearch::Cheapest;

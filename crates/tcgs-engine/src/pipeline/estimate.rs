@@ -138,7 +138,9 @@ fn file_bytes(
         }
         ModelKind::Gaussians3d => (ValueRange { low: GAUSSIAN_BYTES, high: GAUSSIAN_BYTES }, 0),
     };
-    let low = HEADER_BYTES.low + fixed + unit.low * (points / MAX_LOSS);
+    // A crop may leave next to nothing.
+    let fewest = if options.crop.is_none() { points / MAX_LOSS } else { 0 };
+    let low = HEADER_BYTES.low + fixed + unit.low * fewest;
     // Networks of a small `tcgs` file are most of it.
     let high = HEADER_BYTES.high + networks + unit.high * max_size.max(points);
     match options.max_bytes {
@@ -155,7 +157,10 @@ fn file_bytes(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{domain::Layout, gpu::testing::software_report};
+    use crate::{
+        domain::{Crop, Layout},
+        gpu::testing::software_report,
+    };
 
     fn summary(pixels: u64, points: Option<usize>) -> DatasetSummary {
         DatasetSummary { layout: Layout::Colmap, train: 7, test: 1, pixels, points, notes: Vec::new() }
@@ -249,6 +254,10 @@ mod tests {
         let dataset = summary(8 * 64 * 64, Some(500));
         let sized = TrainOptions { max_bytes: Some(20_000), ..TrainOptions::default() };
         assert_eq!(job_needs(&dataset, None, &sized, none()).file_bytes.high, 20_000);
+        let cropped = TrainOptions { crop: Crop::Cameras, ..TrainOptions::default() };
+        let [whole, cropped] = [TrainOptions::default(), cropped]
+            .map(|options| job_needs(&dataset, None, &options, none()).file_bytes);
+        assert!(cropped.low < whole.low && cropped.high == whole.high, "{cropped:?} {whole:?}");
         let curve = TrainOptions { rd_curve: vec![0.001, 0.002, 0.004], ..TrainOptions::default() };
         let needs = job_needs(&dataset, None, &curve, none());
         let fork = u64::from(Schedule::new(&curve).fork_step());

@@ -2,8 +2,9 @@
 
 use crate::{
     domain::{
-        Background, ByteCounts, Camera, Digest, ExportFidelity, GaussianScene, Image, NearPlane, Problem,
-        ProblemType, Scene, SceneFormat, SceneFrame, Similarity, UpAxis, evenly_spaced::evenly_spaced,
+        Background, ByteCounts, Camera, Crop, CropRegion, Digest, ExportFidelity, GaussianScene, Image,
+        NearPlane, Problem, ProblemType, Scene, SceneFormat, SceneFrame, Similarity, UpAxis,
+        evenly_spaced::evenly_spaced,
     },
     eval::{Target, mean_scores_with, psnr},
     export::{
@@ -18,6 +19,7 @@ use serde::Serialize;
 
 pub use super::plain_scene::{Baking, PlainScene, REFINEMENT_STEPS, Refined, Refiner, plain, sphere};
 use super::{
+    crop,
     plain_scene::{MAX_DEGREE, SPHERE_VIEWS, not_exportable, sphere_of},
     scene_file::{self, SceneFile},
     scene_views::SceneViews,
@@ -67,6 +69,8 @@ pub struct ExportSettings {
     pub similarity: Similarity,
     /// Most Gaussians.
     pub limit: Option<usize>,
+    /// The region whose Gaussians are kept, in the source's world.
+    pub crop: Crop,
 }
 
 impl ExportSettings {
@@ -74,7 +78,7 @@ impl ExportSettings {
     #[must_use]
     pub fn whole(format: SceneFormat) -> Self {
         let (origin, similarity) = (Origin::Nearby, Similarity::NONE);
-        Self { format, degree: MAX_DEGREE, origin, up: None, similarity, limit: None }
+        Self { format, degree: MAX_DEGREE, origin, up: None, similarity, limit: None, crop: Crop::None }
     }
 }
 
@@ -106,6 +110,8 @@ pub struct Exported {
     pub packing: Option<Packing>,
     /// Which Gaussians were kept; `None` if all were.
     pub limited: Option<Limited>,
+    /// Gaussians that a crop removed; `None` without one.
+    pub cropped: Option<usize>,
     /// The Gaussians as the file holds them, of a format that is not read.
     held: Option<GaussianScene>,
     /// Where its coordinates are in the world, which not every format states.
@@ -168,8 +174,16 @@ pub fn write(
     settings: &ExportSettings,
     cameras: Option<&[Camera]>,
 ) -> Result<Exported, Problem> {
-    let ExportSettings { format, origin, up, similarity, limit, .. } = *settings;
+    let ExportSettings { format, origin, up, similarity, limit, crop, .. } = *settings;
     let PlainScene { scene: source, baking } = plain;
+    let (source, cropped) = match CropRegion::new(&crop, || cameras.unwrap_or_default().to_vec()) {
+        None => (source, None),
+        Some(region) => {
+            let kept = crop::of_gaussians(&source, &region, &crop)?;
+            let removed = source.len() - kept.len();
+            (kept, Some(removed))
+        }
+    };
     let (source, limited) = match limit.filter(|limit| *limit < source.len()) {
         None => (source, None),
         Some(limit) => {
@@ -200,6 +214,7 @@ pub fn write(
         baking,
         packing,
         limited,
+        cropped,
         held,
         place,
         near: scene.near,

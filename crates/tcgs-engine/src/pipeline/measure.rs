@@ -4,6 +4,7 @@ use super::{
     encode::EncodedFile,
     error::JobError,
     inputs::RunInputs,
+    scene_file::SceneFile,
     stages::{coding_stages, rendering_error},
 };
 use crate::{
@@ -16,6 +17,23 @@ use crate::{
 
 /// Training views that the reported training figures are measured on, evenly spread.
 const MEASURED_TRAIN_VIEWS: usize = 16;
+
+/// Mean held-out PSNR of a file; `None` without held-out views.
+pub(super) fn held_out_psnr(
+    inputs: &RunInputs<'_>,
+    background: Background,
+    file: &SceneFile,
+    heartbeat: &mut dyn FnMut(),
+) -> Result<Option<f64>, JobError> {
+    let before_each = &mut || {
+        inputs.check_cancelled()?;
+        heartbeat();
+        Ok::<_, JobError>(())
+    };
+    let mut renderer = Renderer::of_scene(&inputs.device, &file.scene, background)?;
+    let measurement = ViewMeasurement { renderer: &mut renderer, background, before_each };
+    measurement.mean_psnr(&inputs.test_views())
+}
 
 /// Measures the file, and the held-out views of the scene before quantization if the file differs from it. Calls `heartbeat`
 /// before each view.
@@ -84,6 +102,7 @@ pub(super) fn measure(
         frame: Some(trained.scene.frame()),
         color_fit,
         exposure: Some(trained.exposure),
+        crop: None,
         rd_curve: Vec::new(),
     })
 }

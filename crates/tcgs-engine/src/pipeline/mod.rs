@@ -4,6 +4,7 @@
 
 mod branches;
 mod calibrate;
+mod crop;
 mod curve;
 mod encode;
 mod error;
@@ -50,8 +51,8 @@ use self::{
 };
 use crate::{
     domain::{
-        CancelFlag, Dataset, FailurePoint, MemoryBudget, MemoryLimits, NamedCamera, Phase, Progress,
-        ReadOptions, TrainOptions, failure_point::reach,
+        CancelFlag, CropRegion, Dataset, FailurePoint, MemoryBudget, MemoryLimits, NamedCamera, Phase,
+        Progress, ReadOptions, TrainOptions, failure_point::reach,
     },
     eval::PerceptualDistance,
     gpu::{AdapterChoice, Device, DeviceSettings, GpuError, Profile, RecordingProfile},
@@ -195,6 +196,9 @@ impl RunJob for Pipeline {
             ingest_seconds,
         };
         inputs.check_cancelled()?;
+        if let Some(region) = CropRegion::of_dataset(&options.crop, &dataset) {
+            crop::check_points(&region, &options.crop, dataset.points.as_ref()).map_err(JobError::Fail)?;
+        }
         // Training's first own report follows after some steps, which may take minutes.
         report(Phase::Train, &start);
         let (TrainedFile { file, format, metrics }, others) = if options.rd_curve.is_empty() {

@@ -2,18 +2,21 @@
 
 use std::{
     env,
+    ffi::OsStr,
     fs::{self, File},
-    io::{BufRead as _, BufReader, Read as _, Seek as _, SeekFrom},
+    io::{Read as _, Seek as _, SeekFrom},
     path::{Path, PathBuf},
-    process::{Child, Command, ExitStatus, Stdio},
-    sync::mpsc::{self, Receiver, RecvTimeoutError},
-    thread,
+    process::{Command, Stdio},
+    sync::mpsc::{Receiver, RecvTimeoutError},
     time::{Duration, Instant},
 };
 
 use serde::{Deserialize, Serialize};
 
-use super::{NetworkIsolation, PoseLimits, PoseOptions, PoseProgram, PoseProgress, PoseReport, PosesError};
+use super::{
+    NetworkIsolation, PoseLimits, PoseOptions, PoseProgram, PoseProgress, PoseReport, PosesError,
+    running::Running,
+};
 use crate::{
     domain::CancelFlag,
     ingest::{IngestErrorKind, Limits},
@@ -21,6 +24,22 @@ use crate::{
 
 /// The program that the child runs.
 const SCRIPT: &str = include_str!("estimate_poses.py");
+
+/// What it runs instead where there is no pycolmap.
+const COLMAP_SCRIPT: &str = include_str!("run_colmap.py");
+
+/// The script that runs colmap: behind the functions of the other, without the lines that start that.
+fn colmap_script() -> String {
+    let shared = SCRIPT.rsplit_once("if __name__ ").map_or(SCRIPT, |(functions, _)| functions);
+    format!("{shared}{COLMAP_SCRIPT}")
+}
+
+/// COLMAP's own program: the one that `TCGS_COLMAP` names, else `colmap`.
+#[must_use]
+pub fn find_colmap() -> PathBuf {
+    let named = env::var_os("TCGS_COLMAP").filter(|path| !path.is_empty());
+    named.map_or_else(|| PathBuf::from("colmap"), PathBuf::from)
+}
 
 /// How often the caller's wish to stop is looked at.
 const POLL: Duration = Duration::from_millis(100);
@@ -46,12 +65,53 @@ pub fn find_python(chosen: Option<&Path>) -> PathBuf {
 /// Finds cameras with an interpreter, within limits.
 #[derive(Debug, Clone)]
 pub struct PoseEstimator {
-    /// A Python that has pycolmap.
+    /// A Python that has pycolmap, or any if there is a colmap.
     pub python: PathBuf,
+    /// COLMAP's own program, which is used if Python has no pycolmap.
+    pub colmap: PathBuf,
     /// The program that takes frames of videos.
     pub ffmpeg: PathBuf,
     /// What the child may use.
     pub limits: PoseLimits,
+}
+
+/// The folder of masks in the folder of a search, the database of features and matches, and what these are of.
+pub(super) const MASKS: &str = "masks";
+const DATABASE: [&str; 3] = ["features.db", "features.db-wal", "features.db-shm"];
+const IDENTITY: &str = "search.json";
+
+/// The folders that a search writes after that.
+const RESULTS: [&str; 3] = ["models", "points", "sparse"];
+
+/// What a database of features and matches is of, besides the photographs themselves.
+#[derive(Serialize)]
+struct Identity<'a> {
+    names: &'a [String],
+    camera_model: &'a str,
+    matching: &'a str,
+    seed: u64,
+}
+
+impl<'a> Identity<'a> {
+    fn new(names: &'a [String], options: PoseOptions) -> Self {
+        let PoseOptions { camera_model, matching, seed, .. } = options;
+        Self { names, camera_model: camera_model.name(), matching: matching.name(), seed }
+    }
+}
+
+/// Removes the results of an earlier search from a folder, and its features and matches unless they are of the same search.
+fn forget_others(work: &Path, identity: &Identity<'_>) -> std::io::Result<()> {
+    let (path, identity) = (work.join(IDENTITY), serde_json::to_vec(identity)?);
+    let is_same = fs::read(&path).is_ok_and(|before| before == identity);
+    let absent = |error: &std::io::Error| error.kind() == std::io::ErrorKind::NotFound;
+    for name in RESULTS {
+        fs::remove_dir_all(work.join(name))
+            .or_else(|error| if absent(&error) { Ok(()) } else { Err(error) })?;
+    }
+    for name in DATABASE.into_iter().filter(|_| !is_same) {
+        fs::remove_file(work.join(name)).or_else(|error| if absent(&error) { Ok(()) } else { Err(error) })?;
+    }
+    fs::write(path, identity)
 }
 
 #[derive(Serialize)]
@@ -59,11 +119,18 @@ struct Request<'a> {
     photographs: &'a Path,
     names: &'a [String],
     work: &'a Path,
+    /// Of the photograph NAME, the file NAME.png is black where it is ignored.
+    masks: Option<PathBuf>,
     camera_model: String,
     matching: &'a str,
     seed: u64,
     threads: usize,
     memory_bytes: u64,
+    /// For colmap alone: the program, and photographs that share a camera.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    colmap: Option<&'a Path>,
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    groups: Vec<Vec<&'a str>>,
 }
 
 /// A line of the child's.
@@ -87,14 +154,28 @@ struct Found {
 }
 
 impl PoseEstimator {
-    /// Runs pycolmap for nothing but its version and the means that keep it off the network.
+    /// Runs pycolmap, or colmap if there is none, for nothing but its version and the means that keep it off the network.
     ///
     /// # Errors
-    /// [`PosesError::Unavailable`].
+    /// [`PosesError::Unavailable`], for want of pycolmap.
     pub fn probe(&self) -> Result<PoseProgram, PosesError> {
+        self.probe_with(SCRIPT, &[]).or_else(|error| match self.probe_colmap() {
+            Ok(program) => Ok(program),
+            Err(other) => {
+                tracing::debug!("there is no colmap either: {other}");
+                Err(error)
+            }
+        })
+    }
+
+    fn probe_colmap(&self) -> Result<PoseProgram, PosesError> {
+        self.probe_with(&colmap_script(), &[self.colmap.as_os_str()])
+    }
+
+    fn probe_with(&self, script: &str, program: &[&OsStr]) -> Result<PoseProgram, PosesError> {
         let unavailable = |detail| PosesError::Unavailable { python: self.python.clone(), detail };
-        let asked =
-            Command::new(&self.python).args(["-I", "-c", SCRIPT, "--probe"]).stdin(Stdio::null()).output();
+        let mut command = Command::new(&self.python);
+        let asked = command.args(["-I", "-c", script, "--probe"]).args(program).stdin(Stdio::null()).output();
         let asked = asked.map_err(|error| unavailable(error.to_string()))?;
         let lines = String::from_utf8_lossy(&asked.stdout).into_owned();
         for line in lines.lines() {
@@ -108,8 +189,9 @@ impl PoseEstimator {
         Err(unavailable(errors.lines().last().unwrap_or("it said nothing").to_owned()))
     }
 
-    /// Finds the cameras of the photographs `names` below the folder `photographs`, in this order. `work` is an empty folder, where the
-    /// model and temporary files are written.
+    /// Finds the cameras of the photographs `names` below the folder `photographs`, in this order. `work` is a folder that nothing else
+    /// writes to, where the model and temporary files are written. If a folder `masks` is there, what its masks hide is ignored. A search
+    /// that was interrupted there goes on with the features and matches that it had.
     ///
     /// # Errors
     /// Why cameras were not found. If fewer than half of them were, the model is not used.
@@ -126,40 +208,29 @@ impl PoseEstimator {
             return Err(PosesError::Ingest(IngestErrorKind::TooFewPhotographs(names.len()).into()));
         }
         let io = |what| move |error| PosesError::Io { what, error };
-        let request = Request {
+        let folder = fs::canonicalize(work).map_err(io("cannot find the folder to work in"))?;
+        let mut request = Request {
             photographs: &fs::canonicalize(photographs).map_err(io("cannot find the photographs"))?,
             names,
-            work: &fs::canonicalize(work).map_err(io("cannot find the folder to work in"))?,
+            work: &folder,
+            masks: Some(folder.join(MASKS)).filter(|masks| masks.is_dir()),
             camera_model: options.camera_model.colmap_name(),
             matching: options.matching.name(),
             seed: options.seed,
             threads: options.threads,
             memory_bytes: self.limits.memory_bytes,
+            colmap: None,
+            groups: Vec::new(),
         };
-        let (script, asked) = (work.join("estimate_poses.py"), work.join("request.json"));
-        let text = serde_json::to_vec(&request).expect("a request has string keys and plain values");
-        fs::write(&script, SCRIPT).map_err(io("cannot write the program"))?;
-        fs::write(&asked, text).map_err(io("cannot write the request"))?;
-        let messages = File::create(work.join("messages.txt")).map_err(io("cannot write the messages"))?;
-        let child = Command::new(&self.python)
-            .arg("-I")
-            .args([&script, &asked])
-            .env("OMP_NUM_THREADS", options.threads.to_string())
-            .stdin(Stdio::null())
-            .stdout(Stdio::piped())
-            .stderr(messages)
-            .spawn();
-        let child = child.map_err(|error| PosesError::Unavailable {
-            python: self.python.clone(),
-            detail: error.to_string(),
-        })?;
-        let mut running = Running::new(child);
-        let answer = self.follow(&mut running, report, cancel)?;
-        let status = running.wait().map_err(io("cannot wait for pycolmap"))?;
-        let Some((found, generator, is_network_isolated)) = answer else {
-            let detail = last_words(&work.join("messages.txt"));
-            return Err(PosesError::Died { status: status.to_string(), detail });
-        };
+        forget_others(work, &Identity::new(names, options))
+            .map_err(io("cannot clear the folder to work in"))?;
+        let mut answer = self.run(SCRIPT, &request, work, report, cancel);
+        if matches!(answer, Err(PosesError::Unavailable { .. })) && self.probe_colmap().is_ok() {
+            request.colmap = Some(&self.colmap);
+            request.groups = by_size(photographs, names);
+            answer = self.run(&colmap_script(), &request, work, report, cancel);
+        }
+        let (found, generator, is_network_isolated) = answer?;
         let unregistered: Vec<String> =
             names.iter().filter(|name| found.registered.binary_search(name).is_err()).cloned().collect();
         if found.registered.len() < Limits::MIN_PHOTOGRAPHS || 2 * found.registered.len() < names.len() {
@@ -185,10 +256,46 @@ impl PoseEstimator {
         })
     }
 
+    /// Runs a script with a request in `work`; what it found, with the program's name and whether it had no network.
+    fn run(
+        &self,
+        script: &str,
+        request: &Request<'_>,
+        work: &Path,
+        report: &mut dyn FnMut(PoseProgress),
+        cancel: &CancelFlag,
+    ) -> Result<(Found, String, bool), PosesError> {
+        let io = |what| move |error| PosesError::Io { what, error };
+        let (path, asked) = (work.join("find_cameras.py"), work.join("request.json"));
+        let text = serde_json::to_vec(request).expect("a request has string keys and plain values");
+        fs::write(&path, script).map_err(io("cannot write the program"))?;
+        fs::write(&asked, text).map_err(io("cannot write the request"))?;
+        let messages = File::create(work.join("messages.txt")).map_err(io("cannot write the messages"))?;
+        let child = Command::new(&self.python)
+            .arg("-I")
+            .args([&path, &asked])
+            .env("OMP_NUM_THREADS", request.threads.to_string())
+            .stdin(Stdio::null())
+            .stdout(Stdio::piped())
+            .stderr(messages)
+            .spawn();
+        let child = child.map_err(|error| PosesError::Unavailable {
+            python: self.python.clone(),
+            detail: error.to_string(),
+        })?;
+        let mut running = Running(child);
+        let answer = self.follow(&running.lines(), report, cancel)?;
+        let status = running.0.wait().map_err(io("cannot wait for the search for cameras"))?;
+        answer.ok_or_else(|| {
+            let detail = last_words(&work.join("messages.txt"));
+            PosesError::Died { status: status.to_string(), detail }
+        })
+    }
+
     /// Passes progress on until the child's output ends; what it found, with the program's name and whether it had no network.
     fn follow(
         &self,
-        running: &mut Running,
+        lines: &Receiver<String>,
         report: &mut dyn FnMut(PoseProgress),
         cancel: &CancelFlag,
     ) -> Result<Option<(Found, String, bool)>, PosesError> {
@@ -202,7 +309,7 @@ impl PoseEstimator {
             if Instant::now() >= end {
                 return Err(PosesError::TimedOut(self.limits.time));
             }
-            let text = match running.lines.recv_timeout(POLL) {
+            let text = match lines.recv_timeout(POLL) {
                 Ok(text) => text,
                 Err(RecvTimeoutError::Timeout) => {
                     // It has a limit of time of its own, so it does not count as stalled while it works on one step.
@@ -222,11 +329,11 @@ impl PoseEstimator {
                 Ok(Line::Result { result }) => found = Some(result),
                 Ok(Line::Failure { failure, detail }) => return Err(self.failure(&failure, detail)),
                 Ok(Line::Program(program)) => {
-                    generator = format!("pycolmap {}", program.version);
+                    generator = program.to_string();
                     is_isolated = program.network != NetworkIsolation::None;
                 }
                 // COLMAP's libraries may write there too.
-                Err(_) => tracing::debug!("pycolmap: {text}"),
+                Err(_) => tracing::debug!("the search for cameras: {text}"),
             }
         }
         Ok(found.map(|found| (found, generator, is_isolated)))
@@ -243,38 +350,18 @@ impl PoseEstimator {
     }
 }
 
-/// A child that ends with this.
-struct Running {
-    child: Child,
-    lines: Receiver<String>,
-}
-
-impl Running {
-    fn new(mut child: Child) -> Self {
-        let (sender, lines) = mpsc::channel();
-        if let Some(output) = child.stdout.take() {
-            thread::spawn(move || {
-                for line in BufReader::new(output).lines() {
-                    if line.map_or(true, |line| sender.send(line).is_err()) {
-                        break;
-                    }
-                }
-            });
+/// Photographs by their size in pixels, in the order of the first of each: colmap is not told more of devices.
+fn by_size<'a>(folder: &Path, names: &'a [String]) -> Vec<Vec<&'a str>> {
+    type Size = Option<(u32, u32)>;
+    let mut groups: Vec<(Size, Vec<&str>)> = Vec::new();
+    for name in names {
+        let size = image::image_dimensions(folder.join(name)).ok();
+        match groups.iter_mut().find(|(of, _)| *of == size) {
+            Some((_, group)) => group.push(name),
+            None => groups.push((size, vec![name])),
         }
-        Self { child, lines }
     }
-
-    fn wait(&mut self) -> std::io::Result<ExitStatus> {
-        self.child.wait()
-    }
-}
-
-impl Drop for Running {
-    fn drop(&mut self) {
-        // Without effect on one that has ended.
-        let _ = self.child.kill();
-        let _ = self.child.wait();
-    }
+    groups.into_iter().map(|(_, group)| group).collect()
 }
 
 /// The end of a file, on one line.

@@ -11,12 +11,13 @@ use std::{
 
 use super::{
     PoseEstimator, PoseOptions, PoseProgress, PoseReport, PosesError,
+    child::MASKS,
     frames::{Caller, Video},
     natural_order,
 };
 use crate::{
-    domain::CancelFlag,
-    ingest::{POSES_RECORD, Unposed},
+    domain::{CancelFlag, MaskSource},
+    ingest::{IngestErrorKind, POSES_RECORD, Unposed},
 };
 
 /// Photographs whose cameras were found.
@@ -29,23 +30,37 @@ pub struct PosedDataset {
 }
 
 impl PoseEstimator {
-    /// Finds the cameras of the photographs, or of frames of the video, at `given`, which is a folder or a zip archive. The dataset is
-    /// written below `work`, an empty folder.
+    /// Finds the cameras of the photographs, or of frames of the video. The dataset is written below `work`, a folder that is empty, or
+    /// that an interrupted call for the same photographs left: features and matches that it had are used again.
     ///
     /// # Errors
     /// Why there are no photographs, or their cameras were not found.
     pub fn dataset(
         &self,
-        given: &Path,
+        given: Given<'_>,
         work: &Path,
         mut options: PoseOptions,
         report: &mut dyn FnMut(PoseProgress),
         cancel: &CancelFlag,
     ) -> Result<PosedDataset, PosesError> {
-        let [source, search, folder] = ["source", "search", "dataset"].map(|name| work.join(name));
+        let [source, search, folder] = ["source", SEARCH_FOLDER, "dataset"].map(|name| work.join(name));
         let io = |what| move |error| PosesError::Io { what, error };
-        fs::create_dir(&search).map_err(io("cannot create a folder to work in"))?;
-        let unposed = Unposed::find(given)?;
+        let frames = work.join("frames");
+        for left in [&source, &folder, &frames] {
+            remove(left).map_err(io("cannot clear the folder to work in"))?;
+        }
+        fs::create_dir_all(&search).map_err(io("cannot create a folder to work in"))?;
+        let Given { path: given, masks: mask_source } = given;
+        let unposed = Unposed::find(given)?.with_masks(mask_source);
+        let masks = work.join(MASKS);
+        remove(&masks).map_err(io("cannot clear the folder to work in"))?;
+        let should_continue = || !cancel.is_cancelled();
+        unposed.write_masks(given, mask_source, &masks, &should_continue).map_err(|error| {
+            match error.kind {
+                IngestErrorKind::Stopped => PosesError::Cancelled,
+                _ => error.into(),
+            }
+        })?;
         let mut kept = Vec::new();
         let photographs = match unposed {
             Unposed::Photographs { names, masks } if given.is_dir() => {
@@ -67,18 +82,44 @@ impl PoseEstimator {
                             limits: self.limits,
                             threads: options.threads,
                         };
-                        let frames = work.join("frames");
                         let names = video.frames(&frames, options.frames, &mut Caller { report, cancel })?;
                         Photographs { folder: frames, names }
                     }
                 }
             }
         };
+        let root = photographs.folder.clone();
         let Photographs { folder: photographs, mut names } = photographs.in_their_folder();
+        // By the same names as the photographs.
+        let masks = masks.join(photographs.strip_prefix(&root).unwrap_or(Path::new("")));
+        remove(&search.join(MASKS)).map_err(io("cannot clear the folder to work in"))?;
+        if masks.is_dir() {
+            fs::rename(&masks, search.join(MASKS)).map_err(io("cannot move the masks"))?;
+        }
         names.sort_by(|a, b| natural_order(a, b));
         let found = self.estimate(&photographs, &names, &search, options, report, cancel)?;
         assemble(&folder, &photographs, &found, &kept).map_err(io("cannot write the dataset"))?;
         Ok(PosedDataset { report: found, folder })
+    }
+}
+
+/// The folder of features and matches, in that of a dataset's search.
+pub const SEARCH_FOLDER: &str = "search";
+
+/// What cameras are found of.
+#[derive(Debug, Clone, Copy)]
+pub struct Given<'a> {
+    /// A folder or a zip archive of photographs, or a video.
+    pub path: &'a Path,
+    /// Where masks are that hide what cameras must not be placed by.
+    pub masks: &'a MaskSource,
+}
+
+/// Removes a folder, if it is there.
+fn remove(folder: &Path) -> io::Result<()> {
+    match fs::remove_dir_all(folder) {
+        Err(error) if error.kind() != io::ErrorKind::NotFound => Err(error),
+        _ => Ok(()),
     }
 }
 

@@ -19,7 +19,8 @@ pub enum PosesError {
     /// The interpreter is missing, or has no pycolmap.
     #[error(
         "cameras of photographs are found by pycolmap, which '{python}' does not have ({detail}); install it with `make poses`, or with \
-         `python3 -m venv ENV && ENV/bin/pip install pycolmap=={PYCOLMAP_VERSION}` and --python ENV/bin/python3"
+         `python3 -m venv ENV && ENV/bin/pip install pycolmap=={PYCOLMAP_VERSION}` and --python ENV/bin/python3. A colmap of version 3.13 or \
+         newer, on the path or named in TCGS_COLMAP, serves too"
     )]
     Unavailable {
         /// The interpreter.
@@ -71,7 +72,7 @@ pub enum PosesError {
     #[error("cameras were not found within {} s; allow more time, use fewer photographs, or --matching sequential for frames of a video", .0.as_secs())]
     TimedOut(Duration),
     /// The child ended without an answer.
-    #[error("pycolmap ended early ({status}): {detail}")]
+    #[error("the search for cameras ended early ({status}): {detail}")]
     Died {
         /// How it ended.
         status: String,

@@ -4,7 +4,8 @@
     python3 -I estimate_poses.py --probe
 
 The probe tells the version and the means that keep the process off the network. The request has `photographs` (a folder), `names` (files
-below it, in order), `work` (an empty folder), `camera_model`, `matching` (`auto`, `exhaustive`, `sequential`), `seed`, `threads`,
+below it, in order), `masks` (a folder or null; of NAME, NAME.png hides where it is black), `work` (a folder for this alone, perhaps with
+the database of an interrupted search), `camera_model`, `matching` (`auto`, `exhaustive`, `sequential`), `seed`, `threads`,
 `memory_bytes` (0 for no limit). Standard output has one JSON object a line: `{"stage", "done", "total"}` as work goes on, of the finished
 mapping with `reprojection_error` in pixels, and at the end `{"result"}` or `{"failure", "detail"}`. The result's model is in
 `work/sparse/0`. pycolmap and numpy alone are needed.
@@ -104,6 +105,15 @@ def end_with_parent():
     threading.Thread(target=watch, daemon=True).start()
 
 
+def wait_for_folder(work):
+    """Waits until no earlier process works in the folder: one whose parent has died ends within a second. Returns what holds it."""
+    import fcntl
+
+    held = open(work / "lock", "w")
+    fcntl.flock(held, fcntl.LOCK_EX)
+    return held
+
+
 class Progress:
     """Reports progress from what COLMAP's libraries log, which is passed on. They tell it nowhere else: its database belongs to them
     while they work."""
@@ -181,8 +191,28 @@ def all_points(pycolmap, model, database, folder, work, seed):
     options.random_seed = options.mapper.random_seed = options.triangulation.random_seed = seed
     options.triangulation.ignore_two_view_tracks = False
     to = work / "points"
-    to.mkdir()
+    to.mkdir(exist_ok=True)
     return pycolmap.triangulate_points(pycolmap.Reconstruction(model), database, folder, to, True, options, False)
+
+
+def check_features(names, features):
+    """Ends the search of photographs of which half have too few features; `features` has their numbers by name."""
+    if statistics.median([features.get(name, 0) for name in names]) >= MIN_FEATURES:
+        return
+    weakest = min(names, key=lambda name: features.get(name, 0))
+    fail(
+        "featureless",
+        f"half of the photographs have fewer than {MIN_FEATURES} distinct points (fewest: {weakest} with {features.get(weakest, 0)})",
+    )
+
+
+def is_exhaustive(matching, names):
+    return matching == "exhaustive" or (matching == "auto" and len(names) <= MAX_EXHAUSTIVE)
+
+
+def check_pairs(verified):
+    if verified == 0:
+        fail("no-overlap", "no two photographs show the same things")
 
 
 def upright(pycolmap, numpy, model):
@@ -217,6 +247,7 @@ def main():
         return
     limit_memory(request["memory_bytes"])
     end_with_parent()
+    held = wait_for_folder(Path(request["work"]))
     progress = Progress()
     try:
         import numpy
@@ -231,14 +262,23 @@ def main():
 
     reader = pycolmap.ImageReaderOptions()
     reader.camera_model = request["camera_model"]
+    if request["masks"]:
+        reader.mask_path = request["masks"]
     extraction = pycolmap.FeatureExtractionOptions()
     extraction.max_image_size, extraction.use_gpu = MAX_FEATURE_SIDE, False
     extraction.sift.peak_threshold *= PEAK_SHARE
     progress.begin("features", len(names))
-    pycolmap.Database.open(database).close()
+    opened = pycolmap.Database.open(database)
+    known = opened.num_images()
+    opened.close()
+    if 0 < known < len(names):
+        # Interrupted before features were looked for.
+        database.unlink()
+        pycolmap.Database.open(database).close()
     groups, pixels = devices(pycolmap, folder, names)
     extraction.num_threads = feature_threads(threads, request["memory_bytes"], pixels)
-    for group in groups:
+    # Photographs that have features, and pairs that were compared, are not done again.
+    for group in groups if known < len(names) else []:
         # In order, since numbers of photographs decide which come first; extraction would number them as threads finish.
         pycolmap.import_images(
             database, folder, camera_mode=pycolmap.CameraMode.SINGLE, image_names=group, options=reader
@@ -258,21 +298,14 @@ def main():
     opened = pycolmap.Database.open(database)
     features = {image.name: opened.num_keypoints_for_image(image.image_id) for image in opened.read_all_images()}
     opened.close()
-    counts = [features.get(name, 0) for name in names]
-    if statistics.median(counts) < MIN_FEATURES:
-        weakest = min(names, key=lambda name: features.get(name, 0))
-        fail(
-            "featureless",
-            f"half of the photographs have fewer than {MIN_FEATURES} distinct points (fewest: {weakest} with {features.get(weakest, 0)})",
-        )
+    check_features(names, features)
 
-    exhaustive = request["matching"] == "exhaustive" or (request["matching"] == "auto" and len(names) <= MAX_EXHAUSTIVE)
     matching = pycolmap.FeatureMatchingOptions()
     matching.num_threads, matching.use_gpu = 1, False
     verification = pycolmap.TwoViewGeometryOptions()
     verification.ransac.random_seed = seed
     options = {"matching_options": matching, "verification_options": verification, "device": pycolmap.Device.cpu}
-    if exhaustive:
+    if is_exhaustive(request["matching"], names):
         progress.begin("matches", len(names) * (len(names) - 1) // 2)
         pairing = pycolmap.ExhaustivePairingOptions()
         pairing.block_size = BLOCK
@@ -292,8 +325,7 @@ def main():
     opened = pycolmap.Database.open(database)
     verified = opened.num_verified_image_pairs()
     opened.close()
-    if verified == 0:
-        fail("no-overlap", "no two photographs show the same things")
+    check_pairs(verified)
 
     mapping = pycolmap.IncrementalPipelineOptions()
     mapping.num_threads, mapping.random_seed = 1, seed

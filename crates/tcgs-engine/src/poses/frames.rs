@@ -15,7 +15,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-use super::{PoseLimits, PoseProgress, PoseStage, PosesError, child::last_words};
+use super::{PoseLimits, PoseProgress, PoseStage, PosesError, child::last_words, running::Running};
 use crate::domain::CancelFlag;
 
 /// Size at which sharpness is measured: enough to see the blur of a moving camera.
@@ -222,17 +222,6 @@ fn progress(done: usize, total: usize) -> PoseProgress {
         done: done as u64,
         total: total as u64,
         reprojection_error: None,
-    }
-}
-
-/// A child that ends with this.
-struct Running(Child);
-
-impl Drop for Running {
-    fn drop(&mut self) {
-        // Without effect on one that has ended.
-        let _ = self.0.kill();
-        let _ = self.0.wait();
     }
 }
 

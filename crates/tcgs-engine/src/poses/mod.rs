@@ -11,20 +11,21 @@ mod error;
 mod frames;
 mod natural_order;
 mod options;
+mod running;
 
-pub use child::{PoseEstimator, find_python};
-pub use dataset::PosedDataset;
+pub use child::{PoseEstimator, find_colmap, find_python};
+pub use dataset::{Given, PosedDataset, SEARCH_FOLDER};
 pub use error::PosesError;
 pub use frames::{ffmpeg_version, find_ffmpeg};
 pub use natural_order::natural_order;
-pub use options::{CameraModel, DEFAULT_FRAMES, Matching, PoseLimits, PoseOptions};
+pub use options::{DEFAULT_FRAMES, PoseLimits, PoseOptions};
 
-pub use crate::domain::{PoseProgress, PoseStage};
+pub use crate::domain::{CameraModel, Matching, PoseProgress, PoseStage};
 
 #[cfg(all(test, unix))]
 mod tests;
 
-use std::path::PathBuf;
+use std::{fmt, path::PathBuf};
 
 use serde::{Deserialize, Serialize};
 use tcgs_codec::named_choice;
@@ -44,13 +45,34 @@ named_choice! {
     }
 }
 
+named_choice! {
+    /// What finds cameras.
+    #[derive(Default)]
+    pub enum PoseEngine {
+        /// COLMAP as a package of Python.
+        #[default]
+        Pycolmap = "pycolmap",
+        /// COLMAP's own program, where Python lacks that.
+        Colmap = "colmap",
+    }
+}
+
 /// The program that finds cameras.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct PoseProgram {
-    /// The version of pycolmap.
+    /// Which it is.
+    #[serde(default)]
+    pub engine: PoseEngine,
+    /// Its version.
     pub version: String,
     /// What keeps it off the network.
     pub network: NetworkIsolation,
+}
+
+impl fmt::Display for PoseProgram {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{} {}", self.engine, self.version)
+    }
 }
 
 /// What was found.

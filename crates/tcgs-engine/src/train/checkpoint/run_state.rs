@@ -256,7 +256,8 @@ fn frame_of_bits(bits: [u64; 4]) -> Option<SceneFrame> {
 }
 
 pub(super) fn options_text(options: &TrainOptions) -> String {
-    serde_json::to_string(options).expect("options have names for keys and nothing that JSON lacks")
+    serde_json::to_string(&options.of_training())
+        .expect("options have names for keys and nothing that JSON lacks")
 }
 
 /// The options that differ, with both values.
