@@ -6,7 +6,9 @@ use clap::builder::{PossibleValuesParser, TypedValueParser as _};
 use indicatif::{ProgressBar, ProgressStyle};
 use serde::Serialize;
 use tcgs::{
-    domain::{Background, Camera, Crop, Dataset, Digest, Placement, Problem, Scene, SceneFormat, Split, UpAxis},
+    domain::{
+        Background, Camera, Crop, Dataset, Digest, Placement, Problem, Scene, SceneFormat, Split, UpAxis,
+    },
     eval::Target,
     export::world::Origin,
 };

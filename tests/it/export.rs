@@ -747,7 +747,7 @@ fn a_dataset_is_read_for_an_export_as_training_read_it() {
     let folder = tempfile::tempdir().expect("a folder");
     let path = |name: &str| folder.path().join(name).to_str().expect("UTF-8").to_owned();
     let (set, scene, out) = (path("set"), path("scene.tcgs"), path("scene.spz"));
-    sample::write(Path::new(&set), &Settings { side: 16, points: 100, seed: 1 }).expect("writes");
+    sample::write(Path::new(&set), &Settings { points: 100, ..Settings::square(16) }).expect("writes");
     // Masks that only their option finds: the left half of every photograph is ignored.
     std::fs::create_dir(path("set/people")).expect("a folder");
     for entry in std::fs::read_dir(path("set/images")).expect("photographs") {

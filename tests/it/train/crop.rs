@@ -18,7 +18,8 @@ use crate::support::gpu::choice;
 
 static DATASET: LazyLock<TempDir> = LazyLock::new(|| {
     let folder = tempfile::tempdir().expect("a folder");
-    sample::write(&folder.path().join("set"), &Settings { side: 32, points: 300, seed: 1 }).expect("writes");
+    sample::write(&folder.path().join("set"), &Settings { points: 300, ..Settings::square(32) })
+        .expect("writes");
     folder
 });
 

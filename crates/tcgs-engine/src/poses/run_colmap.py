@@ -14,6 +14,10 @@ import subprocess
 # The oldest version whose commands are tried.
 OLDEST = (3, 13)
 PR_SET_PDEATHSIG, SIGKILL = 1, 9
+# The contrast of the weakest feature that COLMAP keeps.
+PEAK_THRESHOLD = 0.02 / 3
+# Pixels of a photograph for which threads that look for features get memory.
+MAX_PIXELS = 24_000_000
 
 
 class CommandProgress(Progress):
@@ -116,6 +120,17 @@ def mean_error(model):
     return sum_of_errors / max(count, 1)
 
 
+def all_points(colmap, model, database, folder, work, seeds):
+    """The model with its points found anew, as in estimate_poses.py; as it is where the program cannot."""
+    more = work / "points"
+    more.mkdir(exist_ok=True)
+    paths = {"database_path": database, "image_path": folder, "input_path": model, "output_path": more}
+    paths |= {"clear_points": 1, "refine_intrinsics": 0}
+    wanted = [(["Mapper.tri_ignore_two_view_tracks"], 0), (["Mapper.num_threads"], 1)]
+    is_done = colmap.run("point_triangulator", paths, wanted + seeds) == 0 and (more / "images.bin").exists()
+    return more if is_done else model
+
+
 def main():
     is_probe = sys.argv[1] == "--probe"
     request = None if is_probe else json.loads(Path(sys.argv[1]).read_text(encoding="utf-8"))
@@ -135,6 +150,7 @@ def main():
     seeds = [(["default_random_seed", "random_seed"], seed)]
     progress.begin("features", len(names))
     listed = work / "photographs.txt"
+    extracting = feature_threads(threads, request["memory_bytes"], MAX_PIXELS)
     for group in request["groups"]:
         listed.write_text("".join(f"{name}\n" for name in group), encoding="utf-8")
         paths = {"database_path": database, "image_path": folder, "image_list_path": listed}
@@ -143,9 +159,10 @@ def main():
         wanted = [
             (["ImageReader.camera_model"], request["camera_model"]),
             (["ImageReader.single_camera"], 1),
-            (["FeatureExtraction.num_threads", "SiftExtraction.num_threads"], threads),
+            (["FeatureExtraction.num_threads", "SiftExtraction.num_threads"], extracting),
             (["FeatureExtraction.use_gpu", "SiftExtraction.use_gpu"], 0),
             (["FeatureExtraction.max_image_size", "SiftExtraction.max_image_size"], MAX_FEATURE_SIDE),
+            (["SiftExtraction.peak_threshold"], PEAK_SHARE * PEAK_THRESHOLD),
         ]
         colmap.expect("feature_extractor", paths, wanted + seeds)
         progress.before += len(group)
@@ -192,13 +209,15 @@ def main():
             print(f"colmap mapper ended with status {status}", file=sys.stderr)
         fail("no-overlap", "no two photographs overlap enough, from places far enough apart, to begin with")
     model = max(sorted(found), key=lambda model: len(names_of(model)))
+    error = mean_error(model)
+    model = all_points(colmap, model, database, folder, work, seeds)
     target = work / "sparse" / "0"
     target.mkdir(parents=True)
     paths = {"image_path": folder, "input_path": model, "output_path": target, "method": "IMAGE-ORIENTATION"}
     # The cameras' common up to -y; without one the model stays as it is.
     if colmap.run("model_orientation_aligner", paths, []) != 0 or not (target / "images.bin").exists():
         shutil.copytree(model, target, dirs_exist_ok=True)
-    registered, error = names_of(target), mean_error(target)
+    registered = names_of(target)
     say(stage="mapping", done=len(registered), total=len(names), reprojection_error=error)
     say(
         result={

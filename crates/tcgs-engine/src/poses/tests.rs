@@ -165,6 +165,11 @@ elif command == "mapper":
         (model / "cameras.bin").write_bytes(struct.pack("<Q", 1))
         points = b"".join(struct.pack("<Q3d3BdQII", 1, 0, 0, 0, 9, 9, 9, error, 1, 1, 0) for error in (0.25, 0.75))
         (model / "points3D.bin").write_bytes(struct.pack("<Q", 2) + points)
+elif command == "point_triangulator":
+    given_model, model = pathlib.Path(given["--input_path"]), pathlib.Path(given["--output_path"])
+    for name in ("images.bin", "cameras.bin"):
+        (model / name).write_bytes((given_model / name).read_bytes())
+    (model / "points3D.bin").write_bytes(struct.pack("<Q", 3))
 elif command == "model_orientation_aligner":
     sys.exit(1)
 "#;
@@ -198,7 +203,8 @@ fn a_colmap_stands_in_for_pycolmap_if_it_is_new_enough() {
     let found = estimator.estimate(folder.path(), &names, &work, OPTIONS, report, &cancel).expect("cameras");
     assert_eq!(found.registered, ["a.jpg", "b.jpg", "d.jpg"]);
     assert_eq!((found.unregistered, found.models), (vec!["c.jpg".to_owned()], 2));
-    assert_eq!((found.points, found.cameras, found.reprojection_error), (2, 1, 0.5));
+    // The points are those found anew, the error is that of the ones before.
+    assert_eq!((found.points, found.cameras, found.reprojection_error), (3, 1, 0.5));
     assert_eq!((found.generator.as_str(), found.verified_pairs), ("colmap 3.13.0", 1));
     assert!(found.model.join("points3D.bin").exists());
     let stages: Vec<PoseStage> = progress.iter().map(|step| step.stage).collect();
@@ -216,6 +222,7 @@ fn a_colmap_stands_in_for_pycolmap_if_it_is_new_enough() {
         [
             "exhaustive_matcher --default_random_seed",
             "mapper --default_random_seed",
+            "point_triangulator --default_random_seed",
             "model_orientation_aligner"
         ]
     );

@@ -11,7 +11,7 @@ use poses::Poses;
 
 use super::{Adam, AdamStep, ImageLoss, Moments, Result, TrainError, photographs::pack};
 use crate::{
-    domain::{Background, Camera, GaussianScene, Scene},
+    domain::{Background, Camera, GaussianScene, Scene, evenly_spaced::evenly_spaced},
     gpu::{Buffer, Device, Recorder},
     model::{
         GaussianRows,
@@ -22,6 +22,9 @@ use crate::{
 
 /// Longer side of the pictures that are compared, at most.
 const MAX_SIDE: u32 = 1024;
+
+/// Most cameras that are looked from. Neighbors are searched among all pairs of them.
+const MAX_CAMERAS: usize = 1024;
 
 /// Seed of the order of views.
 const SEED: u64 = 0;
@@ -63,7 +66,8 @@ impl Refinement<'_> {
         gaussians: &GaussianScene,
         report: &dyn Fn(u32),
     ) -> Result<GaussianScene> {
-        let cameras: Vec<Camera> = self.cameras.iter().map(|camera| camera.within(MAX_SIDE)).collect();
+        let cameras = evenly_spaced(self.cameras, MAX_CAMERAS);
+        let cameras: Vec<Camera> = cameras.map(|camera| camera.within(MAX_SIDE)).collect();
         let mut poses = Poses::new(cameras, SEED);
         let mut source = Renderer::of_scene(device, self.scene, self.background)?;
         let mut fit = Fit::new(device, gaussians, self.background)?;
