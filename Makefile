@@ -19,7 +19,7 @@ FUZZ_SECONDS ?= 600
 KILLS ?= 105
 SOAK_TESTS ?= system::soak system::crash_points system::io_faults system::reordered bucket_faults
 
-.PHONY: help setup web build demo poses results long-results gate test examples schemathesis generated-client deb container-smoke manifests swiftshader validation interop viewer-pictures external-formats gpu-kit hardware-report fuzz soak lint clean
+.PHONY: help setup web build demo poses results long-results gate test examples schemathesis generated-client deb container-smoke manifests swiftshader validation interop viewer-pictures frame-times external-formats gpu-kit hardware-report fuzz soak lint clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## /  make \1\t/p' Makefile | expand -t 16
@@ -73,6 +73,9 @@ gpu-kit: setup ## pack binaries and photographs for scripts/gpu_day.sh, to run o
 
 hardware-report: ## rewrite the tables of docs/HARDWARE.md from RUNS, the JSON files of scripts/gpu_day.sh
 	@scripts/hardware.py $(RUNS)
+
+frame-times: web ## print how long the viewer page takes for a picture in Chromium, on the processor, and the program beside it
+	@$(CARGO) test --locked --test it -- --ignored --nocapture frame_times
 
 deb: web ## pack target/release/tcgs as a Debian package in target/deb
 	@scripts/build_deb.sh

@@ -203,9 +203,9 @@
   let shown = null;
   const byService = why => {
     canvas.hidden = true;
-    picture.hidden = false;
     stage.dataset.mode = 'service';
     if (!scene.view) { say(`${why} This page has no service that could draw the scene.`); return; }
+    say(`${why} The service draws the first picture.`);
     let told = false;
     draw = async (width, height) => {
       const fits = Math.min(1, 1280 / Math.max(width, height));
@@ -226,6 +226,7 @@
       const old = picture.src;
       shown = await answer.blob();
       picture.src = URL.createObjectURL(shown);
+      picture.hidden = false;
       if (old.startsWith('blob:')) URL.revokeObjectURL(old);
       if (!told) { told = true; say(`${why} The service draws the pictures.`); }
       return performance.now() - began;
@@ -253,6 +254,7 @@
     return new Blob(parts).arrayBuffer();
   };
   const open = async () => {
+    say('Opening');
     const inside = Boolean(byId('file'));
     if (!inside && !scene.file) return byService(scene.why);
     if (!navigator.gpu || !canvas.transferControlToOffscreen) return byService('This browser has no WebGPU.');

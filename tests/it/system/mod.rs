@@ -5,6 +5,7 @@ mod crash_points;
 mod durability;
 mod examples_real;
 mod first_light;
+mod frame_times;
 mod front;
 #[cfg(target_os = "linux")]
 mod full_disk;
