@@ -285,7 +285,7 @@ pub(super) async fn a_curve_is_reported_with_each_of_its_files(coverage: Coverag
             assert!(is_optional || page.contains(&format!("\"{address}\"")), "{address}: {page}");
         }
     }
-    server.get(&format!("{job}/viewer?lambda=0.5")).await.expect_problem(404, "artifact-not-found");
+    server.get(&format!("{job}/viewer?lambda=0.5")).await.expect_problem(404, "no-such-lambda");
     let dots =
         elements.iter().filter(|element| element.name == "title" && element.text.starts_with("λ = ")).count();
     assert_eq!(dots, 2, "each file has its dot");

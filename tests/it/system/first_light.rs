@@ -274,7 +274,7 @@ fn check_evaluation(scene: &Scene, file: &Path, job: &Value) {
     sample::write(&other, &Settings { points: 10, ..Settings::square(16) }).expect("writes");
     let foreign = tcgs(line!["eval", file, other, "--per-view"]);
     let text = String::from_utf8_lossy(&foreign.stdout).into_owned();
-    assert!(text.contains("LPIPS: not measured") && text.contains("\nimages/view_06.png  "), "{text}");
+    assert!(text.contains("\nmeasured  on 8-bit RGB") && text.contains("\nimages/view_06.png  "), "{text}");
     assert!(text.contains("over 8 views on black") && text.contains(" bytes; "), "{text}");
     assert!(String::from_utf8_lossy(&foreign.stderr).contains("another dataset"));
     let small = tcgs(line!["eval", file, other, "--lpips", weights]);
