@@ -89,6 +89,7 @@ const EXTERNAL: &[(&str, &[&str])] = &[
     ("object_store", &["store"]),
     ("wgpu", &["gpu"]),
     ("naga_oil", &["gpu"]),
+    ("webp", &["picture"]),
     ("zip", &["export", "ingest", "sample"]),
     ("unicode_normalization", &["ingest"]),
     ("kiddo", &["init"]),

@@ -12,7 +12,7 @@ use crate::{
 const JPEG_QUALITY: u8 = 90;
 
 named_choice! {
-    /// A file format for views. All but JPEG are lossless.
+    /// A file format for views. All but JPEG are lossless, and so is WebP without a quality.
     pub(crate) enum Format {
         Png = "png",
         Jpeg = "jpeg",
@@ -54,7 +54,7 @@ named_choice! {
 }
 
 named_choice! {
-    /// A file format for animations. Both are lossless.
+    /// A file format for animations. Both are lossless, WebP without a quality alone.
     #[derive(Default)]
     pub(crate) enum AnimationFormat {
         #[default]
@@ -64,12 +64,21 @@ named_choice! {
 }
 
 impl AnimationFormat {
-    /// The format of its frames.
-    pub(crate) fn of_frames(self) -> Format {
-        match self {
+    /// The kind of its frames.
+    pub(crate) fn of_frames(self, quality: Option<u8>) -> Result<PictureKind, SettingError> {
+        let format = match self {
             Self::Apng => Format::Png,
             Self::Webp => Format::Webp,
-        }
+        };
+        PictureKind::new(Some(Output::Color), Some(format), quality, format)
+    }
+}
+
+/// A quality that encoders take.
+fn checked_quality(quality: u8) -> Result<u8, SettingError> {
+    match quality {
+        1..=100 => Ok(quality),
+        _ => Err(("quality", format!("{quality} is outside 1..=100"))),
     }
 }
 
@@ -81,7 +90,7 @@ pub(crate) type SettingError = (&'static str, String);
 pub(crate) struct PictureKind {
     pub(crate) output: Output,
     pub(crate) format: Format,
-    /// Of JPEG; 0 for the others.
+    /// Of JPEG and of lossy WebP; 0 for what loses nothing.
     pub(crate) quality: u8,
 }
 
@@ -108,12 +117,9 @@ impl PictureKind {
         }
         let quality = match (format, quality) {
             (Format::Jpeg, None) => JPEG_QUALITY,
-            (Format::Jpeg, Some(quality @ 1..=100)) => quality,
-            (Format::Jpeg, Some(quality)) => {
-                return Err(("quality", format!("{quality} is outside 1..=100")));
-            }
+            (Format::Jpeg | Format::Webp, Some(quality)) => checked_quality(quality)?,
             (_, Some(_)) => {
-                return Err(("quality", "only jpeg has a quality; the others lose nothing".into()));
+                return Err(("quality", "only jpeg and webp have a quality; the others lose nothing".into()));
             }
             (_, None) => 0,
         };
@@ -130,6 +136,7 @@ impl PictureKind {
         match self.format {
             Format::Png => Some(PictureFormat::Png),
             Format::Jpeg => Some(PictureFormat::Jpeg { quality: self.quality }),
+            Format::Webp if self.quality > 0 => Some(PictureFormat::LossyWebp { quality: self.quality }),
             Format::Webp => Some(PictureFormat::Webp),
             Format::Npy => None,
         }
@@ -303,6 +310,7 @@ mod tests {
             (Color, None, Some(50), "quality"),
             (Color, Some(Jpeg), Some(0), "quality"),
             (Color, Some(Jpeg), Some(101), "quality"),
+            (Color, Some(Webp), Some(0), "quality"),
         ] {
             assert_eq!(new(output, format, quality).expect_err("a fault").0, named);
         }

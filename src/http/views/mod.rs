@@ -164,8 +164,11 @@ fn take_kind(parameters: &mut Parameters, default: Format) -> ApiResult<PictureK
     let output = parameters.take_as("output", "one of color, depth, alpha")?;
     let format = parameters.take_as("format", "one of png, jpeg, webp, npy")?;
     let quality = parameters.take_as("quality", "a whole number from 1 to 100")?;
-    let error = |(name, error): SettingError| ProblemResponse::parameter(name, error);
-    PictureKind::new(output, format, quality, default).map_err(error)
+    PictureKind::new(output, format, quality, default).map_err(bad_parameter)
+}
+
+fn bad_parameter((name, error): SettingError) -> ProblemResponse {
+    ProblemResponse::parameter(name, error)
 }
 
 fn bad_field((name, error): SettingError) -> ProblemResponse {

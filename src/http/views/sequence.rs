@@ -13,7 +13,7 @@ use futures_util::{StreamExt as _, stream};
 use serde::Deserialize;
 
 use super::{
-    cache_for_a_day,
+    bad_field, bad_parameter, cache_for_a_day,
     camera::{impossible, impossible_view, invalid_view, scaled, side},
     cameras, check_pixels, check_sides, dataset_cameras,
     frame_stream::{BodyFormat, FrameStream, Multipart, StopCondition},
@@ -25,7 +25,7 @@ use crate::{
         files::take_lambda,
         jobs::OwnedJob,
         problem::{ApiResult, ProblemResponse},
-        rendering::{Admission, AnimationFormat, Format, Output, PictureKind, failed},
+        rendering::{Admission, AnimationFormat, Format, PictureKind, failed},
         request::{ApiJson, Etag, JsonBody, Parameters, not_modified},
         state::AppState,
     },
@@ -81,9 +81,11 @@ pub(crate) async fn animation(
     let rate = parameters.take_count("fps", DEFAULT_RATE, MAX_RATE)?;
     let lambda = take_lambda(&mut parameters)?;
     let format: AnimationFormat = parameters.take_as("format", "one of apng, webp")?.unwrap_or_default();
+    let quality = parameters.take_as("quality", "a whole number from 1 to 100")?;
     let orbit = OrbitSpec::take(&mut parameters, state.limits.frames)?;
     parameters.finish()?;
-    let stream = animated(&state, &record, lambda, &orbit.cameras(&state, &record).await?, format)?;
+    let kind = format.of_frames(quality).map_err(bad_parameter)?;
+    let stream = animated(&state, &record, lambda, &orbit.cameras(&state, &record).await?, kind)?;
     let etag = Etag::new(stream.key(&format!("{} at {rate}", format.name())));
     let mut response = if etag.is_in_if_none_match(&headers) {
         not_modified(&etag)
@@ -104,6 +106,7 @@ pub(crate) struct AnimationRequest {
     fps: Option<u32>,
     lambda: Option<f64>,
     format: Option<AnimationFormat>,
+    quality: Option<u8>,
 }
 
 impl JsonBody for AnimationRequest {
@@ -118,11 +121,12 @@ pub(crate) async fn animation_path(
     caller: Caller,
     ApiJson(request): ApiJson<AnimationRequest>,
 ) -> ApiResult {
-    let AnimationRequest { path, frames, closed, fps, lambda, format } = request;
+    let AnimationRequest { path, frames, closed, fps, lambda, format, quality } = request;
     let format = format.unwrap_or_default();
+    let kind = format.of_frames(quality).map_err(bad_field)?;
     let rate = count("fps", fps, DEFAULT_RATE, MAX_RATE)?;
     let path = PathSpec { keys: path, frames, closed };
-    let stream = animated(&state, &record, lambda, &path.cameras(&state, &record).await?, format)?;
+    let stream = animated(&state, &record, lambda, &path.cameras(&state, &record).await?, kind)?;
     let mut response = shown(&state, &caller, stream, rate, format).await?;
     response.headers_mut().insert(header::CACHE_CONTROL, HeaderValue::from_static("no-store"));
     Ok(response)
@@ -133,10 +137,9 @@ fn animated(
     record: &JobRecord,
     lambda: Option<f64>,
     cameras: &[Camera],
-    format: AnimationFormat,
+    kind: PictureKind,
 ) -> ApiResult<FrameStream> {
     check_pixels(cameras, state.limits.animation_pixels)?;
-    let kind = PictureKind { output: Output::Color, format: format.of_frames(), quality: 0 };
     let frames = frames_of_any_size(state, record, lambda, cameras, kind)?;
     Ok(FrameStream { frames, rounds: 1, every: None, stop: StopCondition::WhenDone })
 }

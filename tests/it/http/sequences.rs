@@ -148,6 +148,23 @@ pub(super) async fn an_animation_is_written_as_webp_too(coverage: Coverage) {
     let body = json!({ "path": self::path(), "frames": 3, "format": "webp" });
     let along = server.post_json(&format!("{job}/animation"), &body).await.expect(200);
     assert_eq!((along.header("content-type"), frames_of_webp(&along.body).len()), ("image/webp", 3));
+    // With a quality it is smaller, and near what it shows without.
+    let lossy = server.get(&format!("{webp_path}&quality=50")).await.expect(200);
+    assert!(lossy.body.len() < webp.body.len() && lossy.header("etag") != etag);
+    let near = frames_of_webp(&lossy.body);
+    assert_eq!(near.len(), 5);
+    for (exact, near) in same.iter().zip(&near) {
+        let pairs = exact.buffer().as_raw().iter().zip(near.buffer().as_raw());
+        let differences: u64 = pairs.map(|(a, b)| u64::from(a.abs_diff(*b))).sum();
+        assert!(differences / exact.buffer().as_raw().len() as u64 <= 12, "{differences}");
+    }
+    let body = json!({ "path": self::path(), "frames": 3, "format": "webp", "quality": 50 });
+    let along = server.post_json(&format!("{job}/animation"), &body).await.expect(200);
+    assert_eq!(frames_of_webp(&along.body).len(), 3);
+    for wrong in ["quality=50", "format=webp&quality=0"] {
+        let detail = server.get(&format!("{path}&{wrong}")).await.expect_problem(422, "invalid-parameter");
+        assert!(detail.starts_with("quality"), "{detail}");
+    }
     let detail = server.get(&format!("{path}&format=gif")).await.expect_problem(422, "invalid-parameter");
     assert!(detail.starts_with("format"), "{detail}");
     let body = json!({ "path": self::path(), "format": "gif" });

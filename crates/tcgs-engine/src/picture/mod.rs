@@ -20,6 +20,9 @@ pub enum PictureError {
     /// The JPEG encoder's error.
     #[error("the JPEG encoder failed: {0}")]
     Jpeg(#[from] jpeg_encoder::EncodingError),
+    /// The encoder's error of lossy WebP.
+    #[error("the WebP encoder failed: {0}")]
+    Webp(String),
     /// The encoder wrote a file without the named part.
     #[error("the encoder wrote a file without {0}")]
     Incomplete(&'static str),
@@ -46,6 +49,11 @@ pub enum PictureFormat {
     Png,
     /// Lossless WebP.
     Webp,
+    /// WebP of this quality, 1 to 100, with half of the chroma's resolution on each axis.
+    LossyWebp {
+        /// As libwebp scales its quantizers.
+        quality: u8,
+    },
 }
 
 impl PictureFormat {
@@ -56,6 +64,7 @@ impl PictureFormat {
             Self::Jpeg { .. } => "jpeg-encoder 0.7.1, 4:4:4, strips of 64 rows",
             Self::Png => "png 0.18.1, fast, adaptive filters",
             Self::Webp => "image-webp 0.2.4, lossless",
+            Self::LossyWebp { .. } => "webp 0.3.1, 4:2:0",
         }
     }
 
@@ -78,8 +87,19 @@ impl PictureFormat {
                 )?;
                 Ok(file)
             }
+            Self::LossyWebp { quality } => lossy_webp(image, quality),
         }
     }
+}
+
+fn lossy_webp(image: &Image, quality: u8) -> Result<Vec<u8>, PictureError> {
+    let (width, height) = (image.width(), image.height());
+    let encoder = match image.channels() {
+        3 => webp::Encoder::from_rgb(image.samples(), width, height),
+        _ => webp::Encoder::from_rgba(image.samples(), width, height),
+    };
+    let file = encoder.encode_simple(false, f32::from(quality));
+    file.map(|file| file.to_vec()).map_err(|error| PictureError::Webp(format!("{error:?}")))
 }
 
 /// PNG of one channel: 8-bit samples.
@@ -109,11 +129,32 @@ mod tests {
     #[test]
     fn encoders_are_named_with_the_versions_that_are_built() {
         let lock = include_str!("../../../../Cargo.lock");
-        for format in [PictureFormat::Jpeg { quality: 90 }, PictureFormat::Png, PictureFormat::Webp] {
+        for format in [
+            PictureFormat::Jpeg { quality: 90 },
+            PictureFormat::Png,
+            PictureFormat::Webp,
+            PictureFormat::LossyWebp { quality: 80 },
+        ] {
             let (name, rest) = format.encoder().split_once(' ').expect("a name and a version");
             let version = rest.split(',').next().expect("a version");
             let package = format!("name = \"{name}\"\nversion = \"{version}\"\n");
             assert!(lock.contains(&package), "Cargo.lock has another {name} than {version}");
         }
+    }
+
+    #[test]
+    fn lossy_webp_is_near_the_picture_and_nearer_at_a_higher_quality() {
+        let samples: Vec<u8> =
+            (0..64 * 48 * 3).map(|i| ((i / 3 % 64) * 3 + (i / 192) * (1 + i % 3)) as u8).collect();
+        let image = Image::new(64, 48, 3, samples).expect("an image");
+        let [(coarse, far), (fine, near)] = [20, 95].map(|quality| {
+            let file = PictureFormat::LossyWebp { quality }.encode(&image).expect("encodes");
+            let decoder = image::codecs::webp::WebPDecoder::new(std::io::Cursor::new(&file)).expect("a WebP");
+            let mut decoded = vec![0; image.samples().len()];
+            image::ImageDecoder::read_image(decoder, &mut decoded).expect("reads");
+            let errors = decoded.iter().zip(image.samples()).map(|(a, b)| u64::from(a.abs_diff(*b)).pow(2));
+            (file.len(), errors.sum::<u64>() / decoded.len() as u64)
+        });
+        assert!(coarse < fine && near < far && near < 100, "{coarse} {far}, {fine} {near}");
     }
 }

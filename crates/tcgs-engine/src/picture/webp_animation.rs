@@ -1,4 +1,4 @@
-//! Animated WebP from single lossless WebPs (WebP container specification, "Animation").
+//! Animated WebP from single WebPs, lossless or lossy (WebP container specification, "Animation").
 //!
 //! Frames are compressed before, so several at once. The container begins with its length, so its head follows from all frames, whose
 //! parts follow from their number and file alone.
@@ -40,12 +40,15 @@ impl WebpAnimation {
     /// The part of the file with frame `index`, from the frame's own WebP.
     ///
     /// # Errors
-    /// [`PictureError::Frame`] for a WebP that is not lossless, or of another size.
+    /// [`PictureError::Frame`] for a file that is no whole WebP, or of another size.
     pub fn part(&self, index: u32, webp: &[u8]) -> Result<Vec<u8>, PictureError> {
         let no_frame = || PictureError::Frame(index);
-        let pixels = lossless(webp).filter(|pixels| size(pixels) == Some(self.size)).ok_or_else(no_frame)?;
-        let mut picture = Vec::with_capacity(pixels.len() + 9);
-        write(&mut picture, b"VP8L", &[pixels]);
+        let bits = bit_streams(webp).filter(|bits| bits.size() == Some(self.size)).ok_or_else(no_frame)?;
+        let mut picture = Vec::with_capacity(webp.len());
+        if let Some(alpha) = bits.alpha {
+            write(&mut picture, b"ALPH", &[alpha]);
+        }
+        write(&mut picture, bits.kind, &[bits.picture]);
         let [width, height] = self.size.map(one_less);
         let mut part = Vec::with_capacity(picture.len() + 24);
         write(
@@ -73,25 +76,44 @@ fn one_less(side: u32) -> [u8; 3] {
     [a, b, c]
 }
 
-/// The lossless bit stream of a file.
-fn lossless(webp: &[u8]) -> Option<&[u8]> {
+/// The bit streams of a file with one picture.
+struct BitStreams<'a> {
+    /// Opacity of a lossy picture, if it has any.
+    alpha: Option<&'a [u8]>,
+    /// `VP8L` of a lossless picture, `VP8 ` of a lossy one.
+    kind: &'static [u8; 4],
+    picture: &'a [u8],
+}
+
+fn bit_streams(webp: &[u8]) -> Option<BitStreams<'_>> {
     let mut rest = webp.strip_prefix(b"RIFF")?.get(4..)?.strip_prefix(b"WEBP")?;
+    let mut alpha = None;
     loop {
         let (kind, after) = rest.split_first_chunk::<4>()?;
         let (length, after) = after.split_first_chunk::<4>()?;
         let length = u32::from_le_bytes(*length) as usize;
         let (data, after) = after.split_at_checked(length)?;
-        if kind == b"VP8L" {
-            return Some(data);
+        match kind {
+            b"ALPH" => alpha = Some(data),
+            b"VP8L" => return Some(BitStreams { alpha: None, kind: b"VP8L", picture: data }),
+            b"VP8 " => return Some(BitStreams { alpha, kind: b"VP8 ", picture: data }),
+            _ => {}
         }
         rest = after.get(length % 2..)?;
     }
 }
 
-/// Width and height in the head of a lossless bit stream.
-fn size(pixels: &[u8]) -> Option<[u32; 2]> {
-    let bits = u32::from_le_bytes(*pixels.strip_prefix(&[0x2f])?.first_chunk::<4>()?);
-    Some([(bits & 0x3fff) + 1, ((bits >> 14) & 0x3fff) + 1])
+impl BitStreams<'_> {
+    /// Width and height in the head of the picture's bit stream.
+    fn size(&self) -> Option<[u32; 2]> {
+        if self.kind == b"VP8L" {
+            let bits = u32::from_le_bytes(*self.picture.strip_prefix(&[0x2f])?.first_chunk::<4>()?);
+            return Some([(bits & 0x3fff) + 1, ((bits >> 14) & 0x3fff) + 1]);
+        }
+        // After the frame's tag and start code, each side has 14 bits and two for its scale.
+        let [a, b, c, d] = *self.picture.get(3..)?.strip_prefix(&[0x9d, 0x01, 0x2a])?.first_chunk::<4>()?;
+        Some([[a, b], [c, d]].map(|side| u32::from(u16::from_le_bytes(side) & 0x3fff)))
+    }
 }
 
 fn write(file: &mut Vec<u8>, kind: &[u8; 4], data: &[&[u8]]) {
@@ -141,7 +163,31 @@ mod tests {
     }
 
     #[test]
-    fn frames_of_another_size_and_files_that_are_no_lossless_webp_are_refused() {
+    fn lossy_frames_play_too_opaque_or_not() {
+        for channels in [3, 4] {
+            let animation = WebpAnimation { rate: 10, size: [5, 3] };
+            let lossy = |level: u8| {
+                let samples = vec![level; 15 * usize::from(channels)];
+                let image = Image::new(5, 3, channels, samples).expect("an image");
+                PictureFormat::LossyWebp { quality: 80 }.encode(&image).expect("encodes")
+            };
+            let parts = [lossy(60), lossy(200)];
+            let parts = parts.iter().zip(0..).map(|(file, index)| animation.part(index, file));
+            let parts = parts.collect::<Result<Vec<_>, _>>().expect("parts").concat();
+            let file = [animation.head(parts.len()).expect("a head"), parts].concat();
+            let decoder = WebPDecoder::new(std::io::Cursor::new(&file)).expect("a WebP");
+            let frames = decoder.into_frames().collect_frames().expect("frames");
+            assert_eq!(frames.len(), 2);
+            for (frame, level) in frames.iter().zip([60, 200]) {
+                let [red, .., alpha] = frame.buffer().get_pixel(2, 1).0;
+                assert!(red.abs_diff(level) < 6, "{red} for {level}");
+                assert_eq!(alpha, if channels == 3 { 255 } else { level });
+            }
+        }
+    }
+
+    #[test]
+    fn frames_of_another_size_and_files_that_are_no_webp_are_refused() {
         let animation = WebpAnimation { rate: 10, size: [5, 4] };
         assert!(matches!(animation.part(1, &frame(1, 3)), Err(PictureError::Frame(1))));
         let animation = WebpAnimation { size: [5, 3], ..animation };
