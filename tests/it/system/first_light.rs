@@ -314,7 +314,7 @@ async fn check_events(service: &Service, path: &str) {
 async fn check_export(service: &Service, job: &str) {
     let export = service.get(&format!("{job}/export?format=ply")).await.expect(200);
     let psnr: f64 = export.header("x-export-psnr").parse().expect("a number");
-    assert_psnr("the export against its source", psnr, 31.81);
+    assert_psnr("the export against its source", psnr, 37.49);
     let listed = service.get(&format!("{job}/artifacts")).await.expect(200).json();
     let listed =
         listed["artifacts"].as_array().expect("files").iter().find(|file| file["origin"] == "export");

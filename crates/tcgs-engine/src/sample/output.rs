@@ -21,7 +21,7 @@ enum Form {
     /// With the files and folders that were made, in this order.
     Folder(Vec<PathBuf>),
     /// `None` once it is finished.
-    Zip(Option<ZipWriter<BufWriter<File>>>),
+    Zip(Option<Box<ZipWriter<BufWriter<File>>>>),
 }
 
 impl Output {
@@ -50,7 +50,7 @@ impl Output {
             io::ErrorKind::AlreadyExists => SampleError::Exists(path.to_owned()),
             _ => io_error(path)(error),
         })?;
-        Ok(Form::Zip(Some(ZipWriter::new(BufWriter::new(file)))))
+        Ok(Form::Zip(Some(Box::new(ZipWriter::new(BufWriter::new(file))))))
     }
 
     /// Adds a file.
