@@ -56,10 +56,17 @@ from tcgs_client.types import File
 ENDED = (JobState.SUCCEEDED, JobState.FAILED, JobState.CANCELLED)
 
 
-def expect(answer, status):
-    if answer.status_code != status:
-        sys.exit(f"{status} was expected, and {int(answer.status_code)} came: {answer.content[:500]!r}")
+def expect(answer, *statuses):
+    if answer.status_code not in statuses:
+        sys.exit(f"{statuses} was expected, and {int(answer.status_code)} came: {answer.content[:500]!r}")
     return answer
+
+
+def cancel(client, job):
+    """Cancels a job and waits for its end: at once if it is queued, soon if a worker has taken it."""
+    expect(cancel_job.sync_detailed(job.id, client=client), 200, 202)
+    while expect(get_job.sync_detailed(job.id, client=client, prefer="wait=30"), 200).parsed.state not in ENDED:
+        pass
 
 
 def upload(client, archive):
@@ -184,24 +191,18 @@ def main():
     form["iterations"] = "1000000"
     sent = expect(create_job.sync_detailed(client=client, body=form), 201).parsed
     assert sent.options.iterations == 1_000_000 and sent.dataset_id == scene.id
-    expect(cancel_job.sync_detailed(sent.id, client=client), 200)
-    while expect(get_job.sync_detailed(sent.id, client=client, prefer="wait=30"), 200).parsed.state not in ENDED:
-        pass
+    cancel(client, sent)
     repeated = retry_job.sync_detailed(sent.id, client=client, body=RetryRequest(lambda_=0.002, iterations=1_000_000))
     repeated = expect(repeated, 201).parsed
     assert repeated.options.lambda_ == 0.002 and repeated.retry_of == sent.id
-    expect(cancel_job.sync_detailed(repeated.id, client=client), 200)
-    while expect(get_job.sync_detailed(repeated.id, client=client, prefer="wait=30"), 200).parsed.state not in ENDED:
-        pass
+    cancel(client, repeated)
     for one in (sent, repeated):
         expect(delete_job.sync_detailed(one.id, client=client), 204)
 
     other = create_job.sync_detailed(client=client, body=File(payload=io.BytesIO(archive)), iterations=1_000_000)
     expect(retry_job.sync_detailed(job.id, client=client), 409)
     other = expect(other, 201).parsed
-    expect(cancel_job.sync_detailed(other.id, client=client), 200)
-    while expect(get_job.sync_detailed(other.id, client=client, prefer="wait=30"), 200).parsed.state not in ENDED:
-        pass
+    cancel(client, other)
     for one in (other, job):
         expect(delete_job.sync_detailed(one.id, client=client), 204)
     expect(delete_scene.sync_detailed(scene.id, client=client), 204)
