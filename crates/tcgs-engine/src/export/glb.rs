@@ -6,6 +6,7 @@
 use serde_json::{Value, json};
 use thiserror::Error;
 
+use super::opacity;
 use crate::domain::{
     GaussianScene,
     anchors::SceneShapeError,
@@ -51,7 +52,7 @@ pub fn to_glb(scene: &GaussianScene) -> Result<Vec<u8>, GlbError> {
     buffer.colors(scene);
     buffer.floats(&named("ROTATION"), scene.quats.iter().map(|quat| xyzw(*quat)));
     buffer.floats(&named("SCALE"), scene.log_scales.iter().map(|log| log.map(f32::exp)));
-    buffer.floats(&named("OPACITY"), scene.opacity_logits.iter().map(|logit| [opacity(*logit)]));
+    buffer.floats(&named("OPACITY"), scene.opacity_logits.iter().map(|logit| [opacity(*logit) as f32]));
     for function in 0..functions(scene.degree) {
         let degree = degree_of(function);
         let name = named(&format!("SH_DEGREE_{degree}_COEF_{}", function - usize::from(degree).pow(2)));
@@ -59,11 +60,6 @@ pub fn to_glb(scene: &GaussianScene) -> Result<Vec<u8>, GlbError> {
     }
     let too_many = || GlbError::TooMany(scene.len());
     assembled(&buffer, scene).ok_or_else(too_many)
-}
-
-/// Opacity after the logistic, as the file states it.
-fn opacity(logit: f32) -> f32 {
-    (1.0 / (1.0 + f64::from(-logit).exp())) as f32
 }
 
 fn named(attribute: &str) -> String {
@@ -113,7 +109,7 @@ impl Buffer {
         let byte = |value: f32| (255.0 * value.clamp(0.0, 1.0)).round() as u8;
         for (row, logit) in scene.sh.iter().zip(&scene.opacity_logits) {
             self.bytes.extend(row[0].map(|value| byte(0.5 + CONSTANT * value)));
-            self.bytes.push(byte(opacity(*logit)));
+            self.bytes.push(byte(opacity(*logit) as f32));
         }
         self.describe(
             "COLOR_0",

@@ -23,3 +23,8 @@ pub use ply_note::PlyNote;
 pub use sog::{SogError, SogFile, to_sog};
 pub use spz::{SpzError, SpzVersion, from_spz, to_spz};
 pub use usda::to_usda;
+
+/// Opacity after the logistic.
+fn opacity(logit: f32) -> f64 {
+    1.0 / (1.0 + f64::from(-logit).exp())
+}

@@ -13,6 +13,7 @@ use serde_json::json;
 use thiserror::Error;
 
 use self::{codebook::Codebook, palette::Palette, pictures::Pictures};
+use super::opacity;
 use crate::domain::{
     GaussianScene, anchors::SceneShapeError, gaussians::SH_COEFFICIENTS, harmonics::functions,
 };
@@ -134,10 +135,6 @@ pub fn to_sog(scene: &GaussianScene) -> Result<SogFile, SogError> {
     }
     let bytes = pictures.archive(&meta.to_string(), palette.as_ref())?;
     Ok(SogFile { bytes, scene: held, left_out })
-}
-
-fn opacity(logit: f32) -> f64 {
-    1.0 / (1.0 + f64::from(-logit).exp())
 }
 
 /// The range of positions after their logarithm.

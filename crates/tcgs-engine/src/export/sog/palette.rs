@@ -1,6 +1,6 @@
 //! A palette of view-dependent colors: Gaussians whose coefficients are alike share an entry.
 
-use super::codebook::Codebook;
+use super::{codebook::Codebook, opacity};
 use crate::domain::{GaussianScene, harmonics::functions};
 
 /// Most entries: labels have 16 bits.
@@ -117,8 +117,8 @@ fn weights(scene: &GaussianScene, order: &[usize]) -> Vec<f64> {
     let shown = |index: &usize| {
         let mut logs = scene.log_scales[*index].map(f64::from);
         logs.sort_unstable_by(f64::total_cmp);
-        let opacity = 1.0 / (1.0 + f64::from(-scene.opacity_logits[*index]).exp());
-        (opacity * (logs[1] + logs[2]).exp()).clamp(f64::MIN_POSITIVE, f64::MAX / 1e9)
+        (opacity(scene.opacity_logits[*index]) * (logs[1] + logs[2]).exp())
+            .clamp(f64::MIN_POSITIVE, f64::MAX / 1e9)
     };
     let shown: Vec<f64> = order.iter().map(shown).collect();
     let mean = shown.iter().sum::<f64>() / shown.len().max(1) as f64;

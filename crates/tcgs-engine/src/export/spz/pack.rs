@@ -1,5 +1,6 @@
 //! Rounds Gaussians to the integers of a `.spz` file and writes it.
 
+use super::super::opacity;
 use super::{
     COLOR_UNIT, FLIP, FLIP_ROTATION, POSITION_BITS, ROTATION_MAX, SpzError, SpzVersion,
     container::{self, Header},
@@ -105,10 +106,6 @@ impl Rounder {
         self.clamped += usize::from(!(-0.5..=256.0).contains(&rounded));
         rounded.clamp(0.0, 255.0) as u8
     }
-}
-
-fn opacity(logit: f32) -> f64 {
-    1.0 / (1.0 + f64::from(-logit).exp())
 }
 
 /// As fine a unit as sizes ask for, no coarser than the usual one, but coarse enough for the farthest Gaussian.
