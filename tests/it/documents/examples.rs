@@ -209,6 +209,14 @@ for other in [{"id": "msg_2"}, {"time": "1614265331"}, {"body": body + " "}, {"s
     assert not asked(**other), other
 "#;
 
+/// A program of `examples/`, to be run in a folder.
+fn python_client(name: &str, folder: &Path) -> Command {
+    let mut program = Command::new("python3");
+    program.arg(Path::new(env!("CARGO_MANIFEST_DIR")).join("examples").join(name));
+    program.current_dir(folder).env("PYTHONDONTWRITEBYTECODE", "1");
+    program
+}
+
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn the_client_in_python_brings_a_scene_and_a_view() {
     if !there_is("python3", &["-c", "import requests"]) {
@@ -222,11 +230,10 @@ async fn the_client_in_python_brings_a_scene_and_a_view() {
     // A download that broke off is gone on with.
     let part_of_file = format!("scene.tcgs.{}.part", &Digest::of(fakes::FILE).to_string()[..16]);
     fs::write(folder.path().join(part_of_file), &fakes::FILE[..7]).expect("writes");
-    let mut client = Command::new("python3");
-    client.arg(concat!(env!("CARGO_MANIFEST_DIR"), "/examples/client.py")).arg(&dataset);
+    let mut client = python_client("client.py", folder.path());
+    client.arg(&dataset).env(KEY, &key.key);
     client.args(["--server", &format!("http://{}", server.address), "--frame", "test/r_0", "--part", &part]);
     client.args(["--option", "iterations=7", "--option", "preset=standard"]);
-    client.current_dir(folder.path()).env(KEY, &key.key).env("PYTHONDONTWRITEBYTECODE", "1");
     let output = finishes(client).await;
     let told: Value = serde_json::from_slice(&output.stdout).expect("JSON");
     assert_eq!((&told["bytes"], &told["psnr"]), (&fakes::FILE.len().into(), &30.0.into()));
@@ -239,17 +246,15 @@ async fn the_client_in_python_brings_a_scene_and_a_view() {
     let job = job.await.expect(200).json();
     assert_eq!((&job["options"]["iterations"], &job["options"]["preset"]), (&7.into(), &"standard".into()));
 
-    let mut refused = Command::new("python3");
-    refused.arg(concat!(env!("CARGO_MANIFEST_DIR"), "/examples/client.py")).arg(&dataset);
-    refused.args(["--server", &format!("http://{}", server.address), "--frame", "x"]);
-    refused.env_remove(KEY).current_dir(folder.path()).env("PYTHONDONTWRITEBYTECODE", "1");
+    let mut refused = python_client("client.py", folder.path());
+    refused.arg(&dataset).args(["--server", &format!("http://{}", server.address), "--frame", "x"]);
+    refused.env_remove(KEY);
     let output = tokio::task::spawn_blocking(move || refused.output().expect("starts")).await.expect("ran");
     let said = String::from_utf8_lossy(&output.stderr).into_owned();
     assert!(!output.status.success() && said.contains("401") && !said.contains("Traceback"), "{said}");
 
-    let mut lost = Command::new("python3");
-    lost.arg(concat!(env!("CARGO_MANIFEST_DIR"), "/examples/client.py")).args(["nope.zip", "--frame", "x"]);
-    lost.current_dir(folder.path()).env("PYTHONDONTWRITEBYTECODE", "1");
+    let mut lost = python_client("client.py", folder.path());
+    lost.args(["nope.zip", "--frame", "x"]);
     let output = lost.output().expect("starts");
     let said = String::from_utf8_lossy(&output.stderr).into_owned();
     assert!(!output.status.success() && said.contains("nope.zip") && !said.contains("Traceback"), "{said}");
@@ -264,9 +269,8 @@ async fn the_short_client_in_python_brings_a_scene() {
     let key = server.key(&[Scope::Read, Scope::DatasetsWrite, Scope::JobsWrite]).await;
     let folder = tempfile::tempdir().expect("a folder");
     let dataset = scene(folder.path());
-    let mut client = Command::new("python3");
-    client.arg(concat!(env!("CARGO_MANIFEST_DIR"), "/examples/submit.py")).arg(&dataset).arg("scene.tcgs");
-    client.current_dir(folder.path()).env(KEY, &key.key).env("PYTHONDONTWRITEBYTECODE", "1");
+    let mut client = python_client("submit.py", folder.path());
+    client.arg(&dataset).arg("scene.tcgs").env(KEY, &key.key);
     client.env("TCGS_SERVER", format!("http://{}", server.address));
     let output = finishes(client).await;
     let told = String::from_utf8_lossy(&output.stdout).into_owned();
@@ -293,11 +297,10 @@ async fn runs_through(server: &Server, key: &TestKey, rules: Vec<Rule>) -> (Stri
     let folder = tempfile::tempdir().expect("a folder");
     let dataset = scene(folder.path());
     let part = (fs::metadata(&dataset).expect("a file").len() / 3).to_string();
-    let mut client = Command::new("python3");
-    client.arg(concat!(env!("CARGO_MANIFEST_DIR"), "/examples/client.py")).arg(&dataset);
+    let mut client = python_client("client.py", folder.path());
+    client.arg(&dataset).env(KEY, &key.key);
     client.args(["--server", &format!("http://{}", cutter.address), "--frame", "test/r_0", "--part", &part]);
     client.args(["--option", "iterations=7", "--pause", "0.001"]);
-    client.current_dir(folder.path()).env(KEY, &key.key).env("PYTHONDONTWRITEBYTECODE", "1");
     let output = finishes(client).await;
     assert_eq!(fs::read(folder.path().join("scene.tcgs")).expect("a file"), fakes::FILE);
     assert!(fs::read(folder.path().join("view.png")).expect("a file").starts_with(b"\x89PNG"));

@@ -99,7 +99,7 @@ impl ReportContent<'_> {
     }
 
     fn runs(&self) -> Vec<Block<'_>> {
-        let mut head = texts(&["set", "model", "preset", "steps", "seeds"]);
+        let mut head = group_head(&[]);
         head.extend(FIGURES.iter().map(|(name, ..)| (*name).to_owned()));
         let rows = self.groups.iter().map(|group| {
             let mut row = of_group(group);
@@ -148,16 +148,7 @@ impl ReportContent<'_> {
 
     /// How far the worst held-out views lie below the mean.
     fn worst_views(&self) -> Vec<Block<'_>> {
-        let head = texts(&[
-            "set",
-            "model",
-            "preset",
-            "steps",
-            "seeds",
-            "PSNR dB",
-            "worst tenth dB",
-            "below the mean dB",
-        ]);
+        let head = group_head(&["PSNR dB", "worst tenth dB", "below the mean dB"]);
         let worst = |run: &RunRecord| worst_tenth(&run.metrics.test);
         let below = |run: &RunRecord| Some(run.metrics.test.psnr? - worst(run)?);
         let measured = self.groups.iter().filter(|group| group.estimate(worst).is_some());
@@ -231,7 +222,7 @@ impl ReportContent<'_> {
     }
 
     fn levels(&self) -> Vec<Block<'_>> {
-        let mut head = texts(&["set", "model", "preset", "steps", "seeds"]);
+        let mut head = group_head(&[]);
         head.extend(LEVELS.map(|level| format!("s to {level} dB")));
         let is_reached = |run: &RunRecord| LEVELS.iter().any(|level| run.seconds_to(*level).is_some());
         let reached = self.groups.iter().filter(|group| group.runs.iter().any(|run| is_reached(run)));
@@ -290,12 +281,7 @@ impl ReportContent<'_> {
 
     /// What each stage between training and the decoded file costs.
     fn stages(&self) -> Vec<Block<'_>> {
-        let head = texts(&[
-            "set",
-            "model",
-            "preset",
-            "steps",
-            "seeds",
+        let head = group_head(&[
             "floats dB",
             "noise − floats",
             "rounding − floats",
@@ -549,6 +535,13 @@ impl ReportContent<'_> {
         blocks.extend(conventions.map(Block::Note));
         blocks
     }
+}
+
+/// The head of a table whose rows begin with [`of_group`].
+fn group_head(figures: &[&str]) -> Vec<String> {
+    let mut head = texts(&["set", "model", "preset", "steps", "seeds"]);
+    head.extend(texts(figures));
+    head
 }
 
 fn of_group(group: &Group<'_>) -> Vec<String> {
