@@ -1,7 +1,8 @@
 //! Estimates what a job needs before it starts: steps, memory and bytes of its file.
 //!
-//! A target size that no file can meet is refused before training. Memory is what training itself allows for ([`Needs`]). The file's bytes are a range: of a `tcgs` file by the bytes an anchor of
-//! recorded runs (docs/RESULTS.md, docs/LONG_RUNS.md), of files of floats by their layout.
+//! A target size that no file can meet is refused before training. Memory is what training itself allows for ([`Needs`]). The file's
+//! bytes are a range: of a `tcgs` file by the bytes an anchor of recorded runs (docs/RESULTS.md, docs/LONG_RUNS.md), of files of floats by
+//! their layout.
 
 use crate::{
     domain::{
