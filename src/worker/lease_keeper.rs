@@ -5,8 +5,10 @@ use std::{
     io,
     panic::{AssertUnwindSafe, catch_unwind},
     pin::pin,
+    time::Duration,
 };
 
+use futures_util::future::{Either, select};
 use tokio::{
     sync::{oneshot, watch},
     time::{Instant, MissedTickBehavior, interval_at, sleep_until},
@@ -45,22 +47,42 @@ pub(super) async fn while_renewing<T>(
     last_renewed: &mut Instant,
     work: impl Future<Output = T>,
 ) -> T {
-    let every = deps.config.heartbeat;
+    let renew = || async {
+        // What it says is heard again when the run begins, or when its end is written.
+        let renewed = deps.store.heartbeat(lease).await;
+        if let Err(error) = &renewed {
+            tracing::warn!(error = error as &dyn std::error::Error, "heartbeat: {error}");
+        }
+        renewed.is_ok()
+    };
+    with_renewals(deps.config.heartbeat, renew, last_renewed, work).await
+}
+
+/// Does work, and renews something every so often meanwhile. The work goes on during a renewal: it may hold what that waits for, such
+/// as the one connection that writes to SQLite.
+async fn with_renewals<T, R: Future<Output = bool>>(
+    every: Duration,
+    mut renew: impl FnMut() -> R,
+    last_renewed: &mut Instant,
+    work: impl Future<Output = T>,
+) -> T {
     let mut heartbeat = interval_at(Instant::now() + every, every);
     heartbeat.set_missed_tick_behavior(MissedTickBehavior::Delay);
     let mut work = pin!(work);
     loop {
         tokio::select! {
             done = &mut work => return done,
-            _ = heartbeat.tick() => {
-                // What it says is heard again when the run begins, or when its end is written.
-                match deps.store.heartbeat(lease).await {
-                    Ok(_) => *last_renewed = Instant::now(),
-                    Err(error) => {
-                        tracing::warn!(error = &error as &dyn std::error::Error, "heartbeat: {error}");
-                    }
-                }
-            }
+            _ = heartbeat.tick() => {}
+        }
+        let (done, is_renewed) = match select(work.as_mut(), pin!(renew())).await {
+            Either::Left((done, renewal)) => (Some(done), renewal.await),
+            Either::Right((is_renewed, _)) => (None, is_renewed),
+        };
+        if is_renewed {
+            *last_renewed = Instant::now();
+        }
+        if let Some(done) = done {
+            return done;
         }
     }
 }
@@ -247,5 +269,36 @@ impl<'a> LeaseKeeper<'a> {
         if gone || self.last_renewed.elapsed() > self.deps.config.lease {
             self.stop(StopReason::LeaseLost);
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use tokio::{
+        sync::Mutex,
+        time::{sleep, timeout},
+    };
+
+    use super::*;
+
+    #[tokio::test]
+    async fn work_that_holds_what_a_renewal_waits_for_goes_on() {
+        let connection = Mutex::new(());
+        let every = Duration::from_millis(1);
+        let renew = || async {
+            let _held = connection.lock().await;
+            true
+        };
+        let work = async {
+            for _ in 0..20 {
+                let _held = connection.lock().await;
+                sleep(3 * every).await;
+            }
+        };
+        let started = Instant::now();
+        let mut last_renewed = started;
+        let both = with_renewals(every, renew, &mut last_renewed, work);
+        timeout(Duration::from_secs(60), both).await.expect("both go on");
+        assert!(last_renewed > started, "it was renewed meanwhile");
     }
 }
