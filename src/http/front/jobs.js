@@ -5,15 +5,24 @@
   if (!list) return;
   const row = id => list.querySelector(`[data-job="${id}"]`);
 
+  // Jobs without a card: those that the next page may have, and those that are of another page.
+  const missed = new Set();
+  const elsewhere = new Set();
+
   // The page itself, asked for again, has the cards that changed.
   let busy = false;
   let again = false;
   const refresh = async () => {
     if (busy) { again = true; return; }
     busy = true;
+    const sought = [...missed];
+    missed.clear();
     try {
       const answer = await fetch(location.origin + location.pathname + location.search, { headers: { Accept: 'text/html' } });
-      if (answer.ok) merge(new DOMParser().parseFromString(await answer.text(), 'text/html'));
+      if (answer.ok) {
+        merge(new DOMParser().parseFromString(await answer.text(), 'text/html'));
+        for (const id of sought) if (!row(id)) elsewhere.add(id);
+      }
     } catch { tell(silent); }
     setTimeout(() => { busy = false; if (again) { again = false; refresh(); } }, 500);
   };
@@ -63,7 +72,6 @@
     setTimeout(() => looking.delete(id), 1000);
   };
 
-  const elsewhere = new Set();
   const show = job => {
     const card = row(job.id);
     const bar = card && card.querySelector('progress');
@@ -73,8 +81,7 @@
       card.querySelector('.figures').textContent = figures(job);
       look(card);
     } else if (card || ('first' in list.dataset && !elsewhere.has(job.id))) {
-      // A job that the page still does not have is of another page.
-      if (!card) elsewhere.add(job.id);
+      if (!card) missed.add(job.id);
       refresh();
     }
   };

@@ -92,6 +92,31 @@ async fn files_that_are_chosen_become_scenes_and_the_list_follows() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_job_that_ends_before_its_card_arrives_is_shown_as_ended() {
+    let Some(program) = browser::find() else { return skip("Chromium is not installed") };
+    let server = Server::start(&Coverage::default()).await;
+    let mut page = Page::open(program, &format!("http://{}/", server.address)).await;
+    page.until("typeof page === 'object' && typeof page.refresh", |kind| *kind == "function").await;
+    // The page with the new card is read from the service at once, and comes late.
+    let slow = "window.release = null; window.ended = false; const quick = window.fetch; \
+                window.fetch = async (...asked) => { \
+                  const answer = await quick(...asked); const text = await answer.clone().text(); \
+                  if (!window.release && text.includes('data-job')) await new Promise(done => window.release = done); \
+                  return answer; }; \
+                new EventSource('v1/jobs').addEventListener('job', event => { \
+                  window.ended ||= JSON.parse(event.data).state === 'succeeded'; }); true";
+    page.evaluate(slow).await;
+    let job = server.create("gate").await;
+    page.until("window.release !== null", |held| *held == true).await;
+    server.runner.gate.open();
+    server.reaches(&job, "succeeded").await;
+    page.until("window.ended", |ended| *ended == true).await;
+    page.evaluate("new Promise(done => setTimeout(done, 1000))").await;
+    page.evaluate("window.release()").await;
+    page.until(STATES, |states| *states == "succeeded").await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn the_page_fits_a_phone() {
     let Some(program) = browser::find() else { return skip("Chromium is not installed") };
     let server = Server::start(&Coverage::default()).await;
