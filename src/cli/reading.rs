@@ -3,7 +3,7 @@
 use clap::builder::{PossibleValuesParser, TypedValueParser as _};
 use tcgs::{
     codec::inspect,
-    domain::{ExifOrientation, HoldOut, MaskMode, MaskSource, ReadOptions, TrainOptions},
+    domain::{ExifOrientation, HoldOut, MaskMode, MaskSource, MaxWidth, ReadOptions, TrainOptions},
 };
 
 /// How the files of a dataset are read.
@@ -39,17 +39,22 @@ pub(super) struct ReadFlags {
         value_parser = PossibleValuesParser::new(HoldOut::NAMES).try_map(|name| name.parse::<HoldOut>())
     )]
     holdout: HoldOut,
+
+    /// Width in pixels to which wider photographs are downscaled, for training and held-out views alike
+    #[arg(long, value_name = "16..8192", default_value = "1600")]
+    max_width: MaxWidth,
 }
 
 impl ReadFlags {
     pub(super) fn options(&self) -> ReadOptions {
-        let Self { exif_orientation, masks, mask_mode, skip_missing, holdout } = self;
+        let Self { exif_orientation, masks, mask_mode, skip_missing, holdout, max_width } = self;
         ReadOptions {
             exif_orientation: *exif_orientation,
             masks: masks.clone(),
             mask_mode: *mask_mode,
             skip_missing: *skip_missing,
             holdout: *holdout,
+            max_width: *max_width,
         }
     }
 }
@@ -75,4 +80,5 @@ pub(super) const LENIENT: ReadOptions = ReadOptions {
     mask_mode: MaskMode::Auto,
     skip_missing: true,
     holdout: HoldOut::Auto,
+    max_width: MaxWidth::DEFAULT,
 };

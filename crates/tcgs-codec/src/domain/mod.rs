@@ -72,7 +72,7 @@ pub use orbit::Orbit;
 pub use photograph::{Photograph, PhotographError, PixelSource};
 pub use problem::{Problem, ProblemType};
 pub use progress::{CancelFlag, Phase, PoseProgress, PoseStage, Preview, Progress};
-pub use read_options::{ExifOrientation, HoldOut, MaskMode, MaskSource, ReadOptions};
+pub use read_options::{ExifOrientation, HoldOut, MaskMode, MaskSource, MaxWidth, ReadOptions};
 pub use scene_frame::SceneFrame;
 pub use scene_scale::SceneScale;
 pub use series::{SERIES_POINTS, SeriesPoint, series_bucket, with_cumulative_seconds};

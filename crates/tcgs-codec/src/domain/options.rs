@@ -8,7 +8,7 @@ use thiserror::Error;
 
 use super::{
     CameraModel, CameraSearchOptions, Crop, ExifOrientation, Exposure, HoldOut, MaskMode, MaskSource,
-    Matching, ReadOptions, choice::named_choice,
+    Matching, MaxWidth, ReadOptions, choice::named_choice,
 };
 
 /// Largest seed: the largest whole number that readers of JSON represent exactly if they use 64-bit floats, as JavaScript's do.
@@ -214,6 +214,9 @@ pub struct TrainOptions {
     /// Which photographs are held out; serialized only if it is stated.
     #[serde(skip_serializing_if = "is_default")]
     pub holdout: HoldOut,
+    /// The width to which wider photographs are downscaled; serialized only if it is stated.
+    #[serde(skip_serializing_if = "is_default")]
+    pub max_width: MaxWidth,
     /// Whether each photograph has a color correction of its own; serialized only if it is stated.
     #[serde(skip_serializing_if = "is_default")]
     pub exposure: Exposure,
@@ -259,6 +262,7 @@ impl Default for TrainOptions {
             mask_mode: MaskMode::Auto,
             skip_missing: false,
             holdout: HoldOut::Auto,
+            max_width: MaxWidth::default(),
             exposure: Exposure::Auto,
             crop: Crop::None,
             camera_model: CameraModel::SimpleRadial,
@@ -271,13 +275,14 @@ impl TrainOptions {
     /// How the dataset is read.
     #[must_use]
     pub fn reading(&self) -> ReadOptions {
-        let Self { exif_orientation, masks, mask_mode, skip_missing, holdout, .. } = self;
+        let Self { exif_orientation, masks, mask_mode, skip_missing, holdout, max_width, .. } = self;
         ReadOptions {
             exif_orientation: *exif_orientation,
             masks: masks.clone(),
             mask_mode: *mask_mode,
             skip_missing: *skip_missing,
             holdout: *holdout,
+            max_width: *max_width,
         }
     }
 
@@ -601,7 +606,7 @@ impl TrainOption {
 
 /// Every option of a training run. The command line's flags, the query string and JSON are read by it, and a test holds `openapi.yaml`
 /// to it.
-pub static TRAIN_OPTIONS: [TrainOption; 24] = [
+pub static TRAIN_OPTIONS: [TrainOption; 25] = [
     TrainOption {
         name: "preset",
         kind: OptionKind::Choice(Preset::NAMES),
@@ -784,6 +789,15 @@ pub static TRAIN_OPTIONS: [TrainOption; 24] = [
         set: |options, text| text.parse().ok().map(|holdout| options.holdout = holdout),
     },
     TrainOption {
+        name: "max_width",
+        kind: OptionKind::Integer(MaxWidth::MIN as u64, MaxWidth::MAX as u64),
+        default: Some("1600"),
+        help: Some(
+            "Width in pixels to which wider photographs are downscaled, for training and held-out views alike",
+        ),
+        set: |options, text| text.parse().ok().map(|width| options.max_width = width),
+    },
+    TrainOption {
         name: "exposure",
         kind: OptionKind::Choice(Exposure::NAMES),
         default: Some("auto"),
@@ -873,6 +887,7 @@ mod tests {
             mask_mode,
             skip_missing: true,
             holdout: HoldOut::Sector,
+            max_width: MaxWidth::new(400).expect("a width"),
             target_gaussians: Some(1),
             max_gaussians: Some(1),
             exposure: Exposure::On,

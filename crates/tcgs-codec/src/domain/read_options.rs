@@ -121,6 +121,65 @@ impl<'de> Deserialize<'de> for MaskSource {
     }
 }
 
+/// The widest photographs that are trained on, in pixels; wider ones are downscaled to it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(try_from = "u32")]
+pub struct MaxWidth(u32);
+
+impl MaxWidth {
+    /// As the field's loaders have it (METHOD.md §1.1).
+    pub const DEFAULT: Self = Self(1600);
+    /// The smallest.
+    pub const MIN: u32 = 16;
+    /// The largest.
+    pub const MAX: u32 = 8192;
+
+    /// This width.
+    ///
+    /// # Errors
+    /// The bounds, if it is not within [`MaxWidth::MIN`] and [`MaxWidth::MAX`].
+    pub fn new(pixels: u32) -> Result<Self, String> {
+        match pixels {
+            Self::MIN..=Self::MAX => Ok(Self(pixels)),
+            _ => Err(format!("not a number of pixels from {} to {}", Self::MIN, Self::MAX)),
+        }
+    }
+
+    /// In pixels.
+    #[must_use]
+    pub const fn pixels(self) -> u32 {
+        self.0
+    }
+}
+
+impl Default for MaxWidth {
+    fn default() -> Self {
+        Self::DEFAULT
+    }
+}
+
+impl TryFrom<u32> for MaxWidth {
+    type Error = String;
+
+    fn try_from(pixels: u32) -> Result<Self, String> {
+        Self::new(pixels)
+    }
+}
+
+impl FromStr for MaxWidth {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        text.parse().map_err(|_| format!("'{text}' is not a number")).and_then(Self::new)
+    }
+}
+
+impl fmt::Display for MaxWidth {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.0.fmt(f)
+    }
+}
+
 /// How the files of a dataset are read.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct ReadOptions {
@@ -134,11 +193,27 @@ pub struct ReadOptions {
     pub skip_missing: bool,
     /// Which photographs are held out.
     pub holdout: HoldOut,
+    /// The width to which wider photographs are downscaled.
+    pub max_width: MaxWidth,
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn widths_have_bounds_and_are_numbers_in_json() {
+        assert_eq!(MaxWidth::default().pixels(), 1600);
+        for pixels in [MaxWidth::MIN, 400, MaxWidth::MAX] {
+            let width = MaxWidth::new(pixels).expect("a width");
+            assert_eq!(pixels.to_string().parse(), Ok(width));
+            assert_eq!(serde_json::to_string(&width).expect("JSON"), pixels.to_string());
+        }
+        for text in ["", "15", "8193", "-400", "400.0", "wide"] {
+            assert!(text.parse::<MaxWidth>().is_err(), "{text}");
+            assert!(serde_json::from_str::<MaxWidth>(text).is_err(), "{text}");
+        }
+    }
 
     #[test]
     fn sources_of_masks_are_names_or_folders() {

@@ -29,9 +29,6 @@ impl Limits {
     /// Entries up to this size may have any compression ratio: they are cheap, and small tables pack well.
     pub const RATIO_FREE_BYTES: u64 = 1 << 20;
 
-    /// Images wider than this are downscaled to it (METHOD.md §1.1), pixels.
-    pub const TRAINING_WIDTH: u32 = 1600;
-
     /// Frames that a table may list, and cameras. Each takes about 2 KiB of memory while a dataset is checked.
     pub const FRAMES: usize = 20_000;
 

@@ -219,7 +219,8 @@ pub fn check_as(path: &Path, reading: &ReadOptions) -> Result<(DatasetSummary, V
     match survey_for(Purpose::Load, path, &Limits::default(), &options) {
         Ok(survey) => Ok((survey.summary(), survey.into_cameras())),
         Err(error) if is_without_layout(&error) => {
-            Ok((unposed::check(Deadline::NONE, path, &Limits::default())?, Vec::new()))
+            let width = options.reading.max_width;
+            Ok((unposed::check(Deadline::NONE, path, &Limits::default(), width)?, Vec::new()))
         }
         Err(error) => Err(error.into()),
     }
@@ -388,7 +389,7 @@ fn check_by(
     let options = SurveyOptions { reading: reading.clone(), decode_bytes: 0, should_continue: &|| true };
     match survey_for(Purpose::Check(deadline), path, limits, &options) {
         Ok(survey) => Ok(survey.summary()),
-        Err(error) if is_without_layout(&error) => unposed::check(deadline, path, limits),
+        Err(error) if is_without_layout(&error) => unposed::check(deadline, path, limits, reading.max_width),
         Err(error) => Err(error),
     }
 }

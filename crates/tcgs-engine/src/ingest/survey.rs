@@ -26,8 +26,8 @@ use super::{
     valid_region::{self, Kept},
 };
 use crate::domain::{
-    Camera, DatasetSummary, HoldOut, Image, Intrinsics, Layout, NamedCamera, PointCloud, ReadOptions, Split,
-    evenly_spaced::evenly_spaced,
+    Camera, DatasetSummary, HoldOut, Image, Intrinsics, Layout, MaxWidth, NamedCamera, PointCloud,
+    ReadOptions, Split, evenly_spaced::evenly_spaced,
 };
 
 /// Farthest camera from the origin that single precision can still work with.
@@ -121,7 +121,7 @@ pub(super) fn survey(
     note_outside(&root, &outside, &mut notes);
     note_unused(&tree, &taken, &mut notes);
 
-    let mut surveyor = Surveyor { lenses, kept: BTreeMap::new() };
+    let mut surveyor = Surveyor { lenses, max_width: options.reading.max_width, kept: BTreeMap::new() };
     let headers = Headers::read(&tree, &frames, limits, options);
     let mut counts = EvidenceCounts::default();
     let evidence: Vec<Evidence> = frames
@@ -210,6 +210,7 @@ impl Headers {
 /// Computes the final camera of each frame.
 struct Surveyor {
     lenses: Vec<Lens>,
+    max_width: MaxWidth,
     /// What is kept of images by lens and size, and the valid pixels where there are others.
     kept: BTreeMap<LensAndSize, (Crop, Option<ValidPixels>)>,
 }
@@ -239,7 +240,7 @@ impl Surveyor {
                 kept
             }
         };
-        let finished = for_training(crop.of(stored));
+        let finished = for_training(crop.of(stored), self.max_width);
         let camera = Camera::new(finished, frame.pose)
             .map_err(|source| IngestErrorKind::Camera { place: frame.name.clone(), source }.at(&file))?;
         let distance = frame.pose.center().abs().max_element();
@@ -329,9 +330,9 @@ fn plan(tree: &Tree, read: &ReadOptions) -> Result<Plan, IngestError> {
     colmap::plan(tree, choice, read)
 }
 
-/// Intrinsics of the image as it is trained on: at most [`Limits::TRAINING_WIDTH`] wide, the height rounded down.
-fn for_training(k: Intrinsics) -> Intrinsics {
-    let width = Limits::TRAINING_WIDTH;
+/// Intrinsics of the image as it is trained on: at most `widest` wide, the height rounded down.
+fn for_training(k: Intrinsics, widest: MaxWidth) -> Intrinsics {
+    let width = widest.pixels();
     if k.width <= width {
         return k;
     }
@@ -346,14 +347,16 @@ mod tests {
     #[test]
     fn wide_images_shrink_to_the_training_width_with_their_intrinsics() {
         let k = Intrinsics { fx: 3000.0, fy: 3100.0, cx: 1700.0, cy: 1000.0, width: 3201, height: 2133 };
-        let small = for_training(k);
+        let small = for_training(k, MaxWidth::default());
         assert_eq!((small.width, small.height), (1600, 1066));
         let (x, y) = (1600.0 / 3201.0, 1066.0 / 2133.0);
         assert!((small.fx - 3000.0 * x).abs() < 1e-9 && (small.cx - 1700.0 * x).abs() < 1e-9);
         assert!((small.fy - 3100.0 * y).abs() < 1e-9 && (small.cy - 1000.0 * y).abs() < 1e-9);
         let narrow = Intrinsics { width: 1600, ..k };
-        assert_eq!(for_training(narrow), narrow);
+        assert_eq!(for_training(narrow, MaxWidth::default()), narrow);
         let flat = Intrinsics { width: 16_000, height: 1, ..k };
-        assert_eq!(for_training(flat).height, 1);
+        assert_eq!(for_training(flat, MaxWidth::default()).height, 1);
+        let asked = MaxWidth::new(400).expect("a width");
+        assert_eq!((for_training(k, asked).width, for_training(k, asked).height), (400, 266));
     }
 }

@@ -2,7 +2,7 @@
 
 use glam::DVec3;
 
-use super::{distortion::Distortion, limits::Limits, surveyed_frame::SurveyedFrame};
+use super::{distortion::Distortion, surveyed_frame::SurveyedFrame};
 use crate::domain::Intrinsics;
 
 /// Distance from the origin, in radii of the cameras' own extent, from which coordinates are noted as far out.
@@ -47,6 +47,8 @@ pub(super) struct Changes {
     masked: usize,
     cropped: Option<((u32, u32), (u32, u32))>,
     downscaled: usize,
+    /// The width of those.
+    width: u32,
 }
 
 impl Changes {
@@ -64,7 +66,10 @@ impl Changes {
         if self.cropped.is_none() && size(stored) != crop {
             self.cropped = Some((size(stored), crop));
         }
-        self.downscaled += usize::from(view.camera.intrinsics.width != view.crop.width);
+        if view.camera.intrinsics.width != view.crop.width {
+            self.downscaled += 1;
+            self.width = view.camera.intrinsics.width;
+        }
     }
 
     /// Adds the notes.
@@ -93,8 +98,7 @@ impl Changes {
         if self.downscaled > 0 {
             notes.push(format!(
                 "images wider than {} pixels, downscaled to that width: {}",
-                Limits::TRAINING_WIDTH,
-                self.downscaled
+                self.width, self.downscaled
             ));
         }
     }

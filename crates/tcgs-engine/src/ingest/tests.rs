@@ -9,7 +9,7 @@ use super::{
     fixtures::{SIZE, Set, blender, colmap, file, nerfstudio, png},
     *,
 };
-use crate::domain::{Convention, DatasetSummary, HoldOut, Layout, ReadOptions, Split};
+use crate::domain::{Convention, DatasetSummary, HoldOut, Layout, MaxWidth, ReadOptions, Split};
 
 fn refused(set: &Set) -> Problem {
     let directory = set.directory();
@@ -305,6 +305,29 @@ fn distorted_and_wide_images_become_pinhole_images_of_training_width() {
         dataset.notes
     );
     assert!(dataset.notes.iter().any(|note| note.contains("wider than 1600")), "{:?}", dataset.notes);
+}
+
+#[test]
+fn photographs_are_as_wide_as_asked_for() {
+    let table = "{\"fl_x\": 900, \"cx\": 30, \"cy\": 6, \"w\": 60, \"h\": 12, \"frames\": \
+                 [{\"file_path\": \"a.png\", \"transform_matrix\": [[1,0,0,0],[0,1,0,0],[0,0,1,0]]}]}";
+    let wide = png((60, 12), [200, 100, 50, 255]);
+    let set = Set::default().with("transforms.json", table).with("a.png", wide);
+    let of = |pixels| {
+        let max_width = MaxWidth::new(pixels).expect("a width");
+        let reading = ReadOptions { max_width, ..ReadOptions::default() };
+        load_as(&set.directory().path, &reading, &LoadBudget::default(), &|| true).expect("a dataset")
+    };
+    let small = of(20);
+    let k = small.frames[0].camera.intrinsics;
+    assert_eq!((k.width, k.height, k.fx, k.cx, k.cy), (20, 4, 300.0, 10.0, 2.0));
+    assert_eq!((small.frames[0].image.width(), small.frames[0].image.height()), (20, 4));
+    assert_eq!(
+        small.notes.last().expect("a note"),
+        "images wider than 20 pixels, downscaled to that width: 1"
+    );
+    let whole = of(8192);
+    assert_eq!((whole.frames[0].camera.intrinsics.width, whole.notes.len()), (60, small.notes.len() - 1));
 }
 
 #[test]

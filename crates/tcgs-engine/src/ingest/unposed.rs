@@ -21,7 +21,7 @@ use super::{
     tree::{Purpose, Tree},
     video::{SIGNATURE_BYTES, is_video, is_video_name},
 };
-use crate::domain::{DatasetSummary, Layout, MaskSource};
+use crate::domain::{DatasetSummary, Layout, MaskSource, MaxWidth};
 
 /// Names of COLMAP's tables, without extension.
 const TABLES: [&str; 2] = ["cameras", "images"];
@@ -142,13 +142,18 @@ fn is_table(name: &str) -> bool {
 ///
 /// # Errors
 /// [`IngestErrorKind::TooFewPhotographs`], [`IngestErrorKind::NotAVideo`]; else as the check of a dataset.
-pub(super) fn check(deadline: Deadline, path: &Path, limits: &Limits) -> Result<DatasetSummary, IngestError> {
+pub(super) fn check(
+    deadline: Deadline,
+    path: &Path,
+    limits: &Limits,
+    max_width: MaxWidth,
+) -> Result<DatasetSummary, IngestError> {
     let tree = Tree::open(Purpose::Check(deadline), path, limits)?;
     let faults = tree.disk_faults();
-    summary(&tree, limits).map_err(|error| faults.or(error))
+    summary(&tree, limits, max_width).map_err(|error| faults.or(error))
 }
 
-fn summary(tree: &Tree, limits: &Limits) -> Result<DatasetSummary, IngestError> {
+fn summary(tree: &Tree, limits: &Limits, max_width: MaxWidth) -> Result<DatasetSummary, IngestError> {
     if tree.names().any(is_table) {
         let photographs = tree.names().filter(|name| is_image_name(name)).count();
         return Err(IngestErrorKind::NoLayout { photographs, unread: None }.into());
@@ -171,7 +176,7 @@ fn summary(tree: &Tree, limits: &Limits) -> Result<DatasetSummary, IngestError> 
             for name in names {
                 tree.check_time().map_err(|error| error.at(name))?;
                 let (width, height) = images::header(tree, name, limits)?.size;
-                let trained = width.min(Limits::TRAINING_WIDTH);
+                let trained = width.min(max_width.pixels());
                 pixels += u64::from(trained) * u64::from(height) * u64::from(trained) / u64::from(width);
                 if pixels > limits.scene_pixels {
                     let error = IngestErrorKind::TooManyScenePixels { pixels, limit: limits.scene_pixels };

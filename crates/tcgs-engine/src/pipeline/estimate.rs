@@ -6,8 +6,8 @@
 
 use crate::{
     domain::{
-        Bytes, DatasetSummary, JobNeeds, MemoryLimits, MemoryNeeds, ModelKind, NamedCamera, OptionError,
-        TrainOptions, ValueRange,
+        Bytes, DatasetSummary, JobNeeds, MaxWidth, MemoryLimits, MemoryNeeds, ModelKind, NamedCamera,
+        OptionError, TrainOptions, ValueRange,
     },
     gpu::AdapterReport,
     model::{ModelShape, NetworkLayout},
@@ -54,6 +54,12 @@ pub fn job_needs(
             "cameras are found before training; the time and memory of that are not counted, and points are not known yet"
                 .to_owned(),
         );
+    }
+    if cameras.is_none() && options.max_width != MaxWidth::DEFAULT {
+        notes.push(format!(
+            "memory and times are those of photographs at most {} pixels wide, as the dataset was checked; another max_width changes them",
+            MaxWidth::DEFAULT
+        ));
     }
     let sizes = |memory_bytes: u64| match cameras {
         Some(cameras) if !cameras.is_empty() => SetSizes::of_cameras(cameras, summary.points, memory_bytes),
@@ -198,6 +204,9 @@ mod tests {
         let options = TrainOptions::default();
         let small = job_needs(&summary(8 * 64 * 64, Some(500)), None, &options, Ok(&machine(1 << 20)));
         assert!(small.memory.is_none() && small.notes[0].contains("--host-memory"), "{:?}", small.notes);
+        let width = TrainOptions { max_width: MaxWidth::new(400).expect("a width"), ..options.clone() };
+        let needs = job_needs(&summary(8 * 64 * 64, Some(500)), None, &width, Ok(&machine(8 << 30)));
+        assert!(needs.notes.len() == 1 && needs.notes[0].contains("at most 1600"), "{:?}", needs.notes);
         let video = DatasetSummary { layout: Layout::Video, train: 0, test: 0, ..summary(0, None) };
         let needs = job_needs(&video, None, &options, Ok(&machine(8 << 30)));
         assert!(needs.memory.is_none() && needs.notes.len() == 2, "{:?}", needs.notes);

@@ -6,7 +6,7 @@ use std::{collections::BTreeMap, fmt, str::FromStr};
 
 use serde::{Deserialize, Deserializer, de::Error as _};
 use serde_json::Value;
-use tcgs_codec::domain::{Background, HoldOut, ModelKind, Preset, SceneFormat, TrainOptions};
+use tcgs_codec::domain::{Background, HoldOut, MaxWidth, ModelKind, Preset, SceneFormat, TrainOptions};
 
 use super::variant::Variant;
 
@@ -72,6 +72,9 @@ pub struct Block {
     /// A sector is held out instead of what the layout says.
     #[serde(default)]
     sector: bool,
+    /// Widths to which photographs are downscaled; the usual limit if empty.
+    #[serde(default)]
+    max_width: Vec<Checked<Width>>,
 }
 
 fn first_seed() -> Vec<u64> {
@@ -145,6 +148,9 @@ checks! {
     };
     Steps: u32 = |value| integer(value, "steps", 1, i64::from(tcgs_codec::domain::options::MAX_ITERATIONS));
     Side: u32 = |value| integer(value, "pixels", 8, 4096);
+    Width: MaxWidth = |value| {
+        integer(value, "pixels", i64::from(MaxWidth::MIN), i64::from(MaxWidth::MAX)).and_then(MaxWidth::new)
+    };
     Count: usize = |value| integer(value, "Gaussians", 1, 10_000_000);
     Lambda: f64 = |value| {
         let number = value.as_f64();
@@ -169,13 +175,17 @@ pub struct PlannedRun {
 }
 
 impl PlannedRun {
-    /// The set as tables name it: with another split it is another set.
+    /// The set as tables name it: with another split, or at another size, it is another set.
     #[must_use]
     pub fn set_name(&self) -> String {
-        match self.options.holdout {
-            HoldOut::Auto => self.set.clone(),
-            HoldOut::Sector => format!("{}-sector", self.set),
+        let mut name = self.set.clone();
+        if self.options.holdout == HoldOut::Sector {
+            name.push_str("-sector");
         }
+        if self.options.max_width != MaxWidth::DEFAULT {
+            name.push_str(&format!("-{}px", self.options.max_width));
+        }
+        name
     }
 }
 
@@ -287,17 +297,22 @@ impl Block {
         let presets = if presets.is_empty() { vec![TrainOptions::default().preset] } else { presets };
         let steps: Vec<Option<u32>> = self.steps.iter().map(|steps| Some(steps.0)).collect();
         let steps = if steps.is_empty() { vec![None] } else { steps };
+        let widths: Vec<MaxWidth> = self.max_width.iter().map(|width| width.0).collect();
+        let widths = if widths.is_empty() { vec![MaxWidth::DEFAULT] } else { widths };
         let background = self.background.unwrap_or(TrainOptions::default().background);
         let mut schedules = Vec::new();
         for preset in presets {
             for iterations in &steps {
-                schedules.push(TrainOptions {
-                    preset,
-                    iterations: *iterations,
-                    background,
-                    holdout: if self.sector { HoldOut::Sector } else { HoldOut::Auto },
-                    ..TrainOptions::default()
-                });
+                for max_width in &widths {
+                    schedules.push(TrainOptions {
+                        preset,
+                        iterations: *iterations,
+                        background,
+                        holdout: if self.sector { HoldOut::Sector } else { HoldOut::Auto },
+                        max_width: *max_width,
+                        ..TrainOptions::default()
+                    });
+                }
             }
         }
         schedules
@@ -341,6 +356,16 @@ mod tests {
     }
 
     #[test]
+    fn a_block_may_have_widths_and_names_its_sets_by_them() {
+        let text = "[[runs]]\nmodels = [\"3dgs\", \"tcgs\"]\nmax_width = [100, 1600]\nsector = true";
+        let plan = Matrix::parse(text).expect("a matrix").plan(&["a".to_owned()]).expect("a plan");
+        let names: Vec<String> = plan.iter().map(ToString::to_string).collect();
+        let expected = ["a-sector-100px 3dgs", "a-sector-100px tcgs", "a-sector 3dgs", "a-sector tcgs"];
+        assert_eq!(names, expected.map(|name| format!("{name} seed 0")));
+        assert_eq!(plan[0].options.max_width.pixels(), 100);
+    }
+
+    #[test]
     fn every_combination_is_a_run_and_models_change_fastest() {
         let matrix = Matrix::parse(SMALL).expect("a matrix");
         let plan = matrix.plan(&["a".to_owned(), "b".to_owned()]).expect("a plan");
@@ -375,7 +400,8 @@ mod tests {
     fn the_examples_in_the_repository_are_matrices() {
         let full = include_str!("../../../../benches/report.toml");
         let small = include_str!("../../../../benches/report-small.toml");
-        for (name, text) in [("report", full), ("report-small", small)] {
+        let ladder = include_str!("../../../../benches/ladder.toml");
+        for (name, text) in [("report", full), ("report-small", small), ("ladder", ladder)] {
             let matrix = Matrix::parse(text).expect(name);
             assert!(!matrix.plan(&["a".to_owned()]).expect("a plan").is_empty(), "{name}");
         }
@@ -393,6 +419,7 @@ mod tests {
             ("[[runs]]\nmodels = [\"tcgs\"]\npresets = [\"fast\"]\n", &["line 3", "fast"]),
             ("[[runs]]\nmodels = []\n", &["number 1", "models is empty"]),
             ("export_formats = [\"tcgs\"]\n", &["line 1", "plain Gaussians"]),
+            ("[[runs]]\nmodels = [\"tcgs\"]\nmax_width = [8]\n", &["line 3", "from 16 to 8192"]),
             ("[render]\nsides = [4]\ngaussians = [10]\n", &["line 2", "pixels"]),
             ("", &["nothing to do"]),
         ] {
