@@ -4,9 +4,13 @@ use std::{path::Path, time::Duration};
 
 use serde::Serialize;
 use tcgs::{
-    domain::{Bytes, DatasetSummary, JobNeeds, MemoryNeeds, NamedCamera, TrainOptions, ValueRange},
+    domain::{
+        Bytes, DatasetSummary, JobNeeds, MemoryNeeds, ModelKind, NamedCamera, Preset, TrainOptions,
+        ValueRange,
+    },
     gpu::AdapterReport,
     pipeline::{JobError, Machine, job_needs},
+    train::Schedule,
 };
 
 use super::{CliError, adapter::AdapterFlag, memory::MemoryFlags, signals::Interruption, wiring};
@@ -37,9 +41,55 @@ struct Calibrated {
     steps_per_second: f64,
 }
 
+/// What the preset and the options choose for the dataset.
+#[derive(Debug, Serialize)]
+struct Chosen {
+    preset: Preset,
+    model: ModelKind,
+    /// Features and offsets of an anchor, before training narrows them; none for plain Gaussians.
+    features: Option<usize>,
+    offsets: Option<usize>,
+    /// Weight of the rate; none without compression.
+    lambda: Option<f64>,
+    /// How often the run trains on each photograph, as a mean; none while they are not known.
+    steps_per_photograph: Option<f64>,
+}
+
+impl Chosen {
+    fn new(summary: &DatasetSummary, options: &TrainOptions) -> Self {
+        let schedule = Schedule::new(options);
+        let anchors = options.model != ModelKind::Gaussians3d;
+        Self {
+            preset: options.preset,
+            model: options.model,
+            features: anchors.then_some(schedule.shape.features),
+            offsets: anchors.then_some(schedule.shape.offsets),
+            lambda: schedule.compression.as_ref().map(|compression| compression.lambda),
+            steps_per_photograph: (summary.train > 0 && !summary.layout.lacks_cameras())
+                .then(|| f64::from(schedule.steps) / summary.train as f64),
+        }
+    }
+
+    /// The line of text.
+    fn line(&self) -> String {
+        let mut line = format!("schedule     {} of {}", self.preset, self.model);
+        if let (Some(features), Some(offsets)) = (self.features, self.offsets) {
+            line += &format!(", {features} features and {offsets} offsets an anchor");
+        }
+        if let Some(lambda) = self.lambda {
+            line += &format!(", weight of the rate {lambda}");
+        }
+        if let Some(steps) = self.steps_per_photograph {
+            line += &format!(", {} steps a photograph", (10.0 * steps).round() / 10.0);
+        }
+        line + "\n"
+    }
+}
+
 /// What a job will take.
 #[derive(Debug, Serialize)]
 pub(super) struct Estimate {
+    schedule: Chosen,
     steps: u64,
     /// Seconds of training; none without a calibration.
     train_seconds: Option<ValueRange<f64>>,
@@ -89,6 +139,7 @@ pub(super) fn estimate(
     }
     notes.append(&mut reasons);
     Ok(Estimate {
+        schedule: Chosen::new(summary, options),
         steps,
         train_seconds: calibration.as_ref().map(|calibration| calibration.train_seconds(steps)),
         memory: needed,
@@ -105,8 +156,9 @@ pub(super) fn estimate(
 
 /// The lines of an estimate.
 pub(super) fn text(estimate: &Estimate) -> String {
-    let Estimate { steps, train_seconds, memory, file_bytes, calibration, notes } = estimate;
-    let mut text = match (train_seconds, calibration) {
+    let Estimate { schedule, steps, train_seconds, memory, file_bytes, calibration, notes } = estimate;
+    let mut text = schedule.line();
+    text += &match (train_seconds, calibration) {
         (Some(seconds), Some(Calibrated { adapter, steps: timed, seconds: took, steps_per_second })) => {
             format!(
                 "training     {} for {steps} steps\n\
@@ -153,7 +205,16 @@ mod tests {
 
     #[test]
     fn the_text_has_ranges_and_says_what_is_unknown() {
+        let chosen = Chosen {
+            preset: Preset::Preview,
+            model: ModelKind::Tcgs,
+            features: Some(32),
+            offsets: Some(4),
+            lambda: Some(0.0005),
+            steps_per_photograph: Some(6.66),
+        };
         let mut estimate = Estimate {
+            schedule: chosen,
             steps: 2000,
             train_seconds: Some(ValueRange { low: 80.4, high: 300.0 }),
             memory: Some(MemoryNeeds {
@@ -173,16 +234,25 @@ mod tests {
         };
         assert_eq!(
             text(&estimate),
-            "training     80 s to 5 min for 2000 steps\n\
+            "schedule     preview of tcgs, 32 features and 4 offsets an anchor, weight of the rate 0.0005, 6.7 steps a photograph\n\
+             training     80 s to 5 min for 2000 steps\n\
              calibration  20.0 steps/s at first, 60 steps in 3.0 s on a card\n\
              memory       up to 3.0 MiB on the adapter and 5.0 MiB of main memory, for at most 40000 anchors\n\
              file         2.0 KiB to 2.0 MiB\n"
         );
         (estimate.calibration, estimate.train_seconds, estimate.memory) = (None, None, None);
         estimate.notes.push("time is unknown".to_owned());
+        estimate.schedule = Chosen {
+            model: ModelKind::Gaussians3d,
+            features: None,
+            offsets: None,
+            lambda: None,
+            steps_per_photograph: None,
+            ..estimate.schedule
+        };
         assert_eq!(
             text(&estimate),
-            "training     2000 steps\nfile         2.0 KiB to 2.0 MiB\nnote         time is unknown\n"
+            "schedule     preview of 3dgs\ntraining     2000 steps\nfile         2.0 KiB to 2.0 MiB\nnote         time is unknown\n"
         );
         assert_eq!([99.4, 101.0, 7200.0].map(duration), ["99 s", "2 min", "2.0 h"]);
     }

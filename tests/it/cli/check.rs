@@ -22,6 +22,7 @@ fn a_dataset_is_described_or_refused_with_the_file_that_is_wrong() {
         "photographs  40 to train on, 8 held out",
         "size         16x16 pixels",
         "points       50",
+        "schedule     preview of tcgs, 32 features and 4 offsets an anchor, weight of the rate 0.0005, 50 steps a photograph",
         "training     2000 steps",
         "memory       up to ",
         "file         ",
@@ -78,6 +79,9 @@ fn a_job_is_estimated_by_its_first_steps_and_what_is_unknown_is_noted() {
     assert_eq!((&off["train_seconds"], &off["calibration"]), (&Value::Null, &Value::Null));
     assert_eq!(off["notes"], json!(["training time is unknown without a calibration"]));
     assert_eq!((&off["steps"], &off["file_bytes"]["high"]), (&json!(10_000), &json!(90_000)));
+    let chosen = json!({ "preset": "standard", "model": "tcgs", "features": 50, "offsets": 10, "lambda": 0.0005,
+        "steps_per_photograph": 250.0 });
+    assert_eq!(off["schedule"], chosen);
 
     let none = estimate(&["--adapter", "no such adapter"]);
     assert_eq!((&none["memory"], &none["train_seconds"]), (&Value::Null, &Value::Null));
