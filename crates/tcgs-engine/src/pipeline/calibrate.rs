@@ -9,7 +9,7 @@ use std::{
 
 use super::{Pipeline, error::JobError};
 use crate::{
-    domain::{CancelFlag, TrainOptions, ValueRange},
+    domain::{CancelFlag, Exposure, TrainOptions, ValueRange},
     ingest::{self, LoadBudget},
     train::{Checkpoint, CheckpointError, CheckpointSink, Checkpoints, TrainError, Trainer},
 };
@@ -72,7 +72,7 @@ impl Pipeline {
         let load_budget = LoadBudget { memory_bytes: budget.host / 2, spill_dir: self.spill_dir.clone() };
         let go_on = || !cancel.is_cancelled();
         let dataset = ingest::load_sample(dataset, &options.reading(), PHOTOGRAPHS, &load_budget, &go_on)?;
-        let options = options.branches().swap_remove(0);
+        let options = timed_options(options);
         let stop = CancelFlag::default();
         let mut timer = Timer { limit, stop: &stop, cancel, started: None, ended: None };
         let checkpoints = Checkpoints { resume: None, sink: Some(&mut timer) };
@@ -84,6 +84,14 @@ impl Pipeline {
         let (steps, seconds) = timer.ended.filter(|_| !cancel.is_cancelled()).ok_or(JobError::Cancelled)?;
         Ok(Calibration { adapter: device.adapter_line(), steps, seconds })
     }
+}
+
+/// The options of the run whose first steps are timed: of several branches the first, and without the trial of `exposure=auto`, which comes
+/// before the first step and takes up to 200 steps of its own.
+fn timed_options(options: &TrainOptions) -> TrainOptions {
+    let options = options.branches().swap_remove(0);
+    let exposure = if options.exposure == Exposure::Auto { Exposure::Off } else { options.exposure };
+    TrainOptions { exposure, ..options }
 }
 
 /// Stops a run after some time, and counts its steps by the checkpoint that a stopped run saves.
@@ -122,6 +130,16 @@ impl CheckpointSink for Timer<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn no_trial_of_color_corrections_comes_before_the_timed_steps() {
+        let options = |exposure| TrainOptions { exposure, ..TrainOptions::default() };
+        for (asked, timed) in
+            [(Exposure::Auto, Exposure::Off), (Exposure::Off, Exposure::Off), (Exposure::On, Exposure::On)]
+        {
+            assert_eq!(timed_options(&options(asked)), options(timed));
+        }
+    }
 
     #[test]
     fn a_range_has_the_ratios_of_recorded_runs() {
