@@ -1,7 +1,5 @@
 //! Initial values of the anchors' parameters.
 
-use std::collections::BTreeSet;
-
 use rand::{Rng, RngExt};
 use thiserror::Error;
 
@@ -43,6 +41,16 @@ pub fn initial_rows(
     shape: ModelShape,
     max_anchors: usize,
 ) -> Result<AnchorRows, InitError> {
+    Ok(thinned_rows(points, rule, shape, max_anchors)?.0)
+}
+
+/// The anchors of [`initial_rows`], and the edge of the blocks of cells that became one anchor each, in cells.
+pub(super) fn thinned_rows(
+    points: &[[f32; 3]],
+    rule: VoxelRule,
+    shape: ModelShape,
+    max_anchors: usize,
+) -> Result<(AnchorRows, i32), InitError> {
     if points.is_empty() {
         return Err(InitError::NoPoints);
     }
@@ -50,7 +58,7 @@ pub fn initial_rows(
         return Err(InitError::NonFinite(index));
     }
     let lattice = choose_lattice(points, rule);
-    let cells = thin(voxelise(&lattice, points), max_anchors);
+    let (cells, block) = thin(voxelise(&lattice, points), max_anchors);
     let positions: Vec<[f32; 3]> = cells.iter().map(|cell| lattice.position(*cell)).collect();
     let mut values = vec![0.0; cells.len() * shape.row()];
     for (row, distance) in values.chunks_exact_mut(shape.row()).zip(neighbor_distances(&positions)) {
@@ -58,18 +66,53 @@ pub fn initial_rows(
         row[shape.scaling_column()..shape.offset_column()].fill(log_scale);
     }
     let masks = vec![all_offsets(shape); cells.len()];
-    Ok(AnchorRows { shape, lattice, cells, values, masks })
+    Ok((AnchorRows { shape, lattice, cells, values, masks }, block))
 }
 
-/// At most `max_cells` of the cells (but at least one): the first of each block, in the smallest blocks that are few enough.
-fn thin(mut cells: Vec<[i32; 3]>, max_cells: usize) -> Vec<[i32; 3]> {
-    let mut factor = 1;
-    while cells.len() > max_cells.max(1) && factor < 1 << 20 {
-        factor *= 2;
-        let mut taken = BTreeSet::new();
-        cells.retain(|cell| taken.insert(coarse(*cell, factor)));
+/// Largest edge of a block, in cells: one block has all of them.
+const MAX_BLOCK: i32 = 1 << 21;
+
+/// At most `max_cells` of the cells (but at least one), and the edge of the blocks that have one each: the smallest blocks that are few
+/// enough. A block keeps the cell nearest to the mean of its cells.
+fn thin(cells: Vec<[i32; 3]>, max_cells: usize) -> (Vec<[i32; 3]>, i32) {
+    let max_cells = max_cells.max(1);
+    if cells.len() <= max_cells {
+        return (cells, 1);
     }
-    cells
+    let mut blocks = Vec::with_capacity(cells.len());
+    let mut count = |edge: i32| {
+        blocks.clear();
+        blocks.extend(cells.iter().map(|cell| coarse(*cell, edge)));
+        blocks.sort_unstable();
+        blocks.dedup();
+        blocks.len()
+    };
+    // Blocks of `small` are too many.
+    let (mut small, mut large) = (1, 2);
+    while large < MAX_BLOCK && count(large) > max_cells {
+        (small, large) = (large, 2 * large);
+    }
+    while large - small > 1 {
+        let middle = small + (large - small) / 2;
+        if count(middle) > max_cells { small = middle } else { large = middle }
+    }
+    let mut members: Vec<_> = cells.into_iter().map(|cell| (coarse(cell, large), cell)).collect();
+    members.sort_unstable();
+    let mut kept: Vec<_> = members.chunk_by(|a, b| a.0 == b.0).map(most_central).collect();
+    kept.sort_unstable();
+    (kept, large)
+}
+
+/// The cell of a block that is nearest to the mean of its cells.
+fn most_central(members: &[([i32; 3], [i32; 3])]) -> [i32; 3] {
+    let mean: [f64; 3] = std::array::from_fn(|axis| {
+        members.iter().map(|(_, cell)| f64::from(cell[axis])).sum::<f64>() / members.len() as f64
+    });
+    let distance = |cell: &[i32; 3]| -> f64 {
+        cell.iter().zip(mean).map(|(along, mean)| (f64::from(*along) - mean).powi(2)).sum()
+    };
+    let nearest = members.iter().map(|(_, cell)| cell).min_by(|a, b| distance(a).total_cmp(&distance(b)));
+    *nearest.expect("a block has a cell")
 }
 
 #[cfg(test)]
@@ -104,7 +147,7 @@ mod tests {
         let all = initial_rows(&points, VoxelRule::Fixed(0.25), SHAPE, 10_000).expect("anchors");
         let some = initial_rows(&points, VoxelRule::Fixed(0.25), SHAPE, 2_000).expect("anchors");
         assert_eq!(all.len(), 8000);
-        assert!((500..=2_000).contains(&some.len()), "{}", some.len());
+        assert!((1_000..=2_000).contains(&some.len()), "{}", some.len());
         let extent = |rows: &AnchorRows| {
             let xs = rows.cells.iter().map(|cell| cell[0]);
             xs.clone().max().expect("cells") - xs.min().expect("cells")
@@ -115,6 +158,22 @@ mod tests {
             sum / rows.len() as f32
         };
         assert!(mean_scale(&some) > 1.2 * mean_scale(&all), "fewer anchors are larger");
+    }
+
+    #[test]
+    fn a_dense_surface_is_thinned_to_nearly_as_many_anchors_as_there_may_be() {
+        // Doubled blocks would leave a quarter of them at worst.
+        let points: Vec<[f32; 3]> =
+            (0..40_000).map(|i| [(i % 200) as f32, (i / 200) as f32, (i % 200) as f32 * 0.5]).collect();
+        for max in [1_000, 3_000, 9_000] {
+            let rows = initial_rows(&points, VoxelRule::OfSpacing(0.0625), SHAPE, max).expect("anchors");
+            assert!((max * 9 / 10..=max).contains(&rows.len()), "{} of {max}", rows.len());
+            assert!(rows.cells.is_sorted());
+        }
+        let rows = initial_rows(&points, VoxelRule::OfSpacing(0.0625), SHAPE, 0).expect("an anchor");
+        assert_eq!(rows.len(), 1);
+        let middle = rows.lattice.position(rows.cells[0]);
+        assert!((middle[0] - 99.5).abs() < 2.0 && (middle[1] - 99.5).abs() < 2.0, "{middle:?}");
     }
 
     #[test]

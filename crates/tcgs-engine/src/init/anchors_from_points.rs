@@ -8,9 +8,10 @@ use std::collections::BTreeMap;
 use rand::{Rng, RngExt};
 
 use super::{
-    FirstAnchors, InitError, PassingUnits, VoxelRule, cell_within,
+    FirstAnchors, InitError, PassingUnits, VoxelRule,
+    anchors::thinned_rows,
+    cell_within, coarse,
     first_anchors::{SLOT, SlotTargets},
-    initial_rows,
 };
 use crate::model::{AnchorRows, ModelShape};
 
@@ -26,7 +27,7 @@ const GRAY: f64 = 0.5;
 /// shape and color from the first step on, but none becomes transparent by chance.
 const RANDOM: [f32; 3] = [0.1, 1.0, 1.0];
 
-/// Anchors at `points` as [`initial_rows`] has them, with offsets from `rng`, and features and networks that predict the points'
+/// Anchors at `points` as [`initial_rows`](super::initial_rows) has them, with offsets from `rng`, and features and networks that predict the points'
 /// `colors` (none, or one a point).
 ///
 /// # Errors
@@ -39,14 +40,14 @@ pub fn anchors_from_points(
     max_anchors: usize,
     rng: &mut impl Rng,
 ) -> Result<FirstAnchors, InitError> {
-    let mut anchors = initial_rows(points, rule, shape, max_anchors)?;
+    let (mut anchors, block) = thinned_rows(points, rule, shape, max_anchors)?;
     for row in anchors.values.chunks_exact_mut(shape.row()) {
         for offset in &mut row[shape.offset_column()..] {
             *offset = rng.random_range(-SPREAD..SPREAD);
         }
     }
     let mut slots = SlotTargets::with_capacity(anchors.len() * shape.offsets);
-    for color in mean_colors(&anchors, points, colors) {
+    for color in mean_colors(&anchors, block, points, colors) {
         // Sizes are the logistic of zero, half the distance to the nearest anchors, and no slot is turned.
         let mut slot = [0.0; SLOT];
         slot[0] = OPACITY.atanh();
@@ -62,20 +63,22 @@ pub fn anchors_from_points(
     Ok(FirstAnchors::from_slot_targets(anchors, slots, PassingUnits::LINEAR, RANDOM, rng))
 }
 
-/// The mean color of each anchor's points, from 0 to 1. Points that all have the same color, as in a cloud saved without any,
-/// have none.
-fn mean_colors(anchors: &AnchorRows, points: &[[f32; 3]], colors: &[[u8; 3]]) -> Vec<[f64; 3]> {
+/// The mean color, from 0 to 1, of the points in each anchor's block of `block` cells an edge. Points that all have the same color, as in
+/// a cloud saved without any, have none.
+fn mean_colors(anchors: &AnchorRows, block: i32, points: &[[f32; 3]], colors: &[[u8; 3]]) -> Vec<[f64; 3]> {
     let colors = if colors.windows(2).all(|pair| pair[0] == pair[1]) { &[] } else { colors };
     let mut sums: BTreeMap<[i32; 3], ([f64; 3], f64)> = BTreeMap::new();
     for (point, color) in points.iter().zip(colors) {
         let Some(cell) = cell_within(&anchors.lattice, *point) else { continue };
-        let (sum, count) = sums.entry(cell).or_default();
+        let (sum, count) = sums.entry(coarse(cell, block)).or_default();
         for (sum, value) in sum.iter_mut().zip(color) {
             *sum += f64::from(*value) / 255.0;
         }
         *count += 1.0;
     }
-    let mean = |cell: &[i32; 3]| sums.get(cell).map_or([GRAY; 3], |(sum, count)| sum.map(|sum| sum / count));
+    let mean = |cell: &[i32; 3]| {
+        sums.get(&coarse(*cell, block)).map_or([GRAY; 3], |(sum, count)| sum.map(|sum| sum / count))
+    };
     anchors.cells.iter().map(mean).collect()
 }
 
@@ -85,7 +88,7 @@ mod tests {
     use rand_pcg::Pcg64;
 
     use super::*;
-    use crate::init::first_anchors::tests::outputs;
+    use crate::init::{first_anchors::tests::outputs, initial_rows};
 
     const SHAPE: ModelShape = ModelShape::new(32, 4);
 
@@ -108,7 +111,7 @@ mod tests {
             let first = begin(&points, &colors, seed);
             assert_eq!(first.anchors.len(), 1000);
             let mut squares = 0.0;
-            for (anchor, expected) in mean_colors(&first.anchors, &points, &colors).iter().enumerate() {
+            for (anchor, expected) in mean_colors(&first.anchors, 1, &points, &colors).iter().enumerate() {
                 let said = outputs(&first, anchor);
                 let (opacities, rest) = said.split_at(SHAPE.offsets);
                 assert!(opacities.iter().all(|opacity| *opacity > 0.02), "{opacities:?}");
@@ -120,6 +123,17 @@ mod tests {
             }
             let mean = (squares / (1000 * 3 * SHAPE.offsets) as f64).sqrt();
             assert!(mean < 0.1, "colors differ by {mean} in the mean");
+        }
+    }
+
+    #[test]
+    fn a_thinned_anchor_has_the_mean_color_of_all_points_of_its_block() {
+        let points: Vec<[f32; 3]> = (0..900).map(|i| [(i % 30) as f32, (i / 30) as f32, 0.0]).collect();
+        let colors: Vec<[u8; 3]> = (0..900).map(|i| if i % 2 == 0 { [255; 3] } else { [0; 3] }).collect();
+        let (anchors, block) = thinned_rows(&points, VoxelRule::Fixed(0.25), SHAPE, 100).expect("anchors");
+        assert!((50..=100).contains(&anchors.len()), "{}", anchors.len());
+        for color in mean_colors(&anchors, block, &points, &colors) {
+            assert!(color.iter().all(|value| (0.2..=0.8).contains(value)), "{color:?}");
         }
     }
 
