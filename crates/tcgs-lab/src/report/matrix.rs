@@ -401,7 +401,10 @@ mod tests {
         let full = include_str!("../../../../benches/report.toml");
         let small = include_str!("../../../../benches/report-small.toml");
         let ladder = include_str!("../../../../benches/ladder.toml");
-        for (name, text) in [("report", full), ("report-small", small), ("ladder", ladder)] {
+        let opponents = include_str!("../../../../benches/opponents.toml");
+        for (name, text) in
+            [("report", full), ("report-small", small), ("ladder", ladder), ("opponents", opponents)]
+        {
             let matrix = Matrix::parse(text).expect(name);
             assert!(!matrix.plan(&["a".to_owned()]).expect("a plan").is_empty(), "{name}");
         }
