@@ -57,8 +57,8 @@ pub use memory_estimate::{Estimate, OverBudget, PhotographPlace};
 pub use rate_control::{RateControl, RateControlState, SizeAim, SizeLimit};
 pub use refine::Refinement;
 pub use schedule::{
-    BaseQuantStepRule, CompressionSchedule, CompressionStage, Decay, DecayShape, MaskSchedule, Schedule,
-    schedule_table,
+    BaseQuantStepRule, CompressionSchedule, CompressionStage, Decay, DecayShape, MaskSchedule,
+    MaskWeightGrowth, Schedule, schedule_table,
 };
 pub use set_sizes::SetSizes;
 pub use statistics::Statistics;

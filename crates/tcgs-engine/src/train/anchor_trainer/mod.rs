@@ -330,7 +330,12 @@ impl ModelTrainer for AnchorTrainer {
             && schedule.learns(step.number)
         {
             recorder.stage("masks");
-            masks.backward(recorder, &mut self.neural, anchors, schedule.weight_at(step.number))?;
+            masks.backward(
+                recorder,
+                &mut self.neural,
+                anchors,
+                schedule.weight_at(step.number, step.lambda),
+            )?;
             if let Some(compression) = &self.compression {
                 compression.mask_backward(recorder, masks, step.lambda)?;
             }

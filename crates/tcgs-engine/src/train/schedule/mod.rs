@@ -25,6 +25,9 @@ const MAX_SPEEDUP: f64 = 3.2;
 /// Largest factor of the masks' learning rate in short runs: beyond it, one step moves a logit all the way to the level.
 const MAX_MASK_SPEEDUP: f64 = 125.0;
 
+/// Largest factor of the mask loss's weight: the largest that was measured. Far larger ones would leave no Gaussians.
+const MAX_MASK_WEIGHT_FACTOR: f64 = 16.0;
+
 /// How a learning rate decays from its first value to its last.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum DecayShape {
@@ -124,10 +127,29 @@ pub struct MaskSchedule {
     pub until: u32,
     /// Learning rate of the logits, independent of the scene's extent.
     pub learning_rate: Decay,
-    /// Weight of the mean logistic of the logits in the loss.
+    /// Weight of the mean logistic of the logits in the loss, for a lambda up to the preset's own.
     pub weight: f32,
+    /// How the weight grows with lambda, so that an offset has to be worth the price of its bits (METHOD.md §4.1). None where it
+    /// stays as published.
+    pub growth: Option<MaskWeightGrowth>,
     /// The logit above which an offset makes Gaussians.
     pub level: f32,
+}
+
+/// The factor of the mask loss's weight: a power of the ratio of lambda to the preset's own, at least 1.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct MaskWeightGrowth {
+    /// The preset's own lambda.
+    pub from: f64,
+    /// The power. 1 makes a mask cost as much more as bits do. With a target size lambda rises before the masks have made the file
+    /// smaller, so its cube root is enough.
+    pub power: f64,
+}
+
+impl MaskWeightGrowth {
+    fn factor(self, lambda: f64) -> f64 {
+        (lambda / self.from).powf(self.power).clamp(1.0, MAX_MASK_WEIGHT_FACTOR)
+    }
 }
 
 impl MaskSchedule {
@@ -137,10 +159,13 @@ impl MaskSchedule {
         (self.from..=self.until).contains(&step)
     }
 
-    /// The loss's weight at `step`.
+    /// The loss's weight at `step`, where the rate term weighs `lambda`.
     #[must_use]
-    pub fn weight_at(&self, step: u32) -> f32 {
-        if step >= self.loss_from { self.weight } else { 0.0 }
+    pub fn weight_at(&self, step: u32, lambda: f64) -> f32 {
+        if step < self.loss_from {
+            return 0.0;
+        }
+        (f64::from(self.weight) * self.growth.map_or(1.0, |growth| growth.factor(lambda))) as f32
     }
 }
 
@@ -396,7 +421,7 @@ impl Schedule {
 /// - the level is nearer: the logistic's slope at 0.01 is a twentieth of its slope at the initial logit, and Adam, whose second
 ///   moments average over a thousand steps, would move too slowly there;
 /// - masks learn once growth has ended, as they would otherwise remove the offsets that growth starts from;
-/// - the weight is larger, so that the loss removes offsets of little effect within half the steps.
+/// - the weight is larger, so that the loss removes offsets of little effect within half the steps, and grows with lambda.
 fn masks(options: &TrainOptions, steps: u32) -> Option<MaskSchedule> {
     if !options.has(Component::Masks) {
         return None;
@@ -408,6 +433,7 @@ fn masks(options: &TrainOptions, steps: u32) -> Option<MaskSchedule> {
         until: part(0.7),
         learning_rate: Decay::exponential(1e-2, 1e-4),
         weight: 5e-4,
+        growth: None,
         level: logit(0.01),
     };
     if options.preset == Preset::Paper {
@@ -423,6 +449,10 @@ fn masks(options: &TrainOptions, steps: u32) -> Option<MaskSchedule> {
             scale * published.learning_rate.end,
         ),
         weight: 1e-2,
+        growth: Some(MaskWeightGrowth {
+            from: compression::default_lambda(options.preset),
+            power: if options.max_bytes.is_some() { 1.0 / 3.0 } else { 1.0 },
+        }),
         level: logit(0.2),
     })
 }
@@ -573,8 +603,24 @@ mod tests {
         assert_eq!((masks.from, masks.loss_from, masks.until), (1, 10_001, 21_000));
         assert_eq!((masks.learning_rate, masks.weight), (Decay::exponential(1e-2, 1e-4), 5e-4));
         assert!((masks.level + 4.595_12).abs() < 1e-5);
-        assert_eq!([10_000, 10_001].map(|step| masks.weight_at(step)), [0.0, 5e-4]);
+        assert_eq!([10_000, 10_001].map(|step| masks.weight_at(step, 1.0)), [0.0, 5e-4]);
         assert!(masks.learns(1) && masks.learns(21_000) && !masks.learns(21_001));
+    }
+
+    #[test]
+    fn masks_cost_more_where_bits_do_and_no_less_than_at_the_presets_own_weight() {
+        for preset in [Preset::Preview, Preset::Standard] {
+            let own = compression::default_lambda(preset);
+            for (max_bytes, at_four_times) in [(None, 4.0), (Some(100_000), 4.0_f32.cbrt())] {
+                let options = TrainOptions { preset, max_bytes, ..TrainOptions::default() };
+                let masks = masks_of(options).expect("masks");
+                let at = |lambda: f64| masks.weight_at(masks.loss_from, lambda);
+                assert_eq!([0.0, own / 5.0, own].map(at), [masks.weight; 3]);
+                assert!((at(4.0 * own) / masks.weight - at_four_times).abs() < 1e-6);
+                assert!((at(f64::MAX) / masks.weight - 16.0).abs() < 1e-5, "some Gaussians are left");
+                assert_eq!(masks.weight_at(masks.loss_from - 1, own), 0.0);
+            }
+        }
     }
 
     #[test]
