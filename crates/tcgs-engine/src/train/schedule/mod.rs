@@ -25,7 +25,7 @@ const MAX_SPEEDUP: f64 = 3.2;
 /// Largest factor of the masks' learning rate in short runs: beyond it, one step moves a logit all the way to the level.
 const MAX_MASK_SPEEDUP: f64 = 125.0;
 
-/// Largest factor of the mask loss's weight: the largest that was measured. Far larger ones would leave no Gaussians.
+/// Largest factor of the mask loss's weight: the largest that was measured.
 const MAX_MASK_WEIGHT_FACTOR: f64 = 16.0;
 
 /// How a learning rate decays from its first value to its last.
