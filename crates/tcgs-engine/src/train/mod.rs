@@ -20,6 +20,7 @@ mod feature_basis;
 mod footprint;
 mod init_bounds;
 mod loss;
+mod mask_weight;
 mod masks;
 mod memory_estimate;
 mod model_trainer;
@@ -52,13 +53,14 @@ use error::Result;
 pub use error::{ContextError, TrainError};
 pub use exposure::{ColorCorrections, Learning};
 pub use loss::{ImageLoss, LossSums};
+pub use mask_weight::MaskWeightGrowth;
 pub use masks::{FIRST_LOGIT, MaskRows, OffsetMasks};
 pub use memory_estimate::{Estimate, OverBudget, PhotographPlace};
 pub use rate_control::{RateControl, RateControlState, SizeAim, SizeLimit};
 pub use refine::Refinement;
 pub use schedule::{
-    BaseQuantStepRule, CompressionSchedule, CompressionStage, Decay, DecayShape, MaskSchedule,
-    MaskWeightGrowth, Schedule, schedule_table,
+    BaseQuantStepRule, CompressionSchedule, CompressionStage, Decay, DecayShape, MaskSchedule, Schedule,
+    schedule_table,
 };
 pub use set_sizes::SetSizes;
 pub use statistics::Statistics;

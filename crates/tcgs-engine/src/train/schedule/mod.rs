@@ -12,7 +12,7 @@ pub use compression::{BaseQuantStepRule, CompressionSchedule, CompressionStage};
 pub(super) use plain::PlainSchedule;
 pub use table::schedule_table;
 
-use super::RateControl;
+use super::{MaskWeightGrowth, RateControl};
 use crate::{
     domain::{Component, ModelKind, Preset, SceneFrame, TrainOptions, Voxel},
     init::{PassingUnits, VoxelRule},
@@ -24,9 +24,6 @@ const MAX_SPEEDUP: f64 = 3.2;
 
 /// Largest factor of the masks' learning rate in short runs: beyond it, one step moves a logit all the way to the level.
 const MAX_MASK_SPEEDUP: f64 = 125.0;
-
-/// Largest factor of the mask loss's weight: the largest that was measured.
-const MAX_MASK_WEIGHT_FACTOR: f64 = 16.0;
 
 /// How a learning rate decays from its first value to its last.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -134,22 +131,6 @@ pub struct MaskSchedule {
     pub growth: Option<MaskWeightGrowth>,
     /// The logit above which an offset makes Gaussians.
     pub level: f32,
-}
-
-/// The factor of the mask loss's weight: a power of the ratio of lambda to the preset's own, at least 1.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct MaskWeightGrowth {
-    /// The preset's own lambda.
-    pub from: f64,
-    /// The power. 1 makes a mask cost as much more as bits do. With a target size lambda rises before the masks have made the file
-    /// smaller, so its cube root is enough.
-    pub power: f64,
-}
-
-impl MaskWeightGrowth {
-    fn factor(self, lambda: f64) -> f64 {
-        (lambda / self.from).powf(self.power).clamp(1.0, MAX_MASK_WEIGHT_FACTOR)
-    }
 }
 
 impl MaskSchedule {
@@ -377,7 +358,9 @@ impl Schedule {
     #[must_use]
     pub fn rate_control(&self, max_bytes: Option<u64>) -> Option<RateControl> {
         let CompressionSchedule { lambda, context_from, rounded_from, .. } = self.compression.as_ref()?;
-        Some(RateControl::new(*lambda, max_bytes?, *context_from..=(*rounded_from).max(*context_from)))
+        let window = *context_from..=(*rounded_from).max(*context_from);
+        let masks = self.masks.as_ref().and_then(|masks| masks.growth);
+        Some(RateControl::new(*lambda, max_bytes?, window, masks))
     }
 
     /// The last step before lambda has an effect, where the branches of a rate-distortion curve fork.
@@ -449,10 +432,7 @@ fn masks(options: &TrainOptions, steps: u32) -> Option<MaskSchedule> {
             scale * published.learning_rate.end,
         ),
         weight: 1e-2,
-        growth: Some(MaskWeightGrowth {
-            from: compression::default_lambda(options.preset),
-            power: if options.max_bytes.is_some() { 1.0 / 3.0 } else { 1.0 },
-        }),
+        growth: Some(MaskWeightGrowth { from: compression::default_lambda(options.preset) }),
         level: logit(0.2),
     })
 }
@@ -611,12 +591,12 @@ mod tests {
     fn masks_cost_more_where_bits_do_and_no_less_than_at_the_presets_own_weight() {
         for preset in [Preset::Preview, Preset::Standard] {
             let own = compression::default_lambda(preset);
-            for (max_bytes, at_four_times) in [(None, 4.0), (Some(100_000), 4.0_f32.cbrt())] {
+            for max_bytes in [None, Some(100_000)] {
                 let options = TrainOptions { preset, max_bytes, ..TrainOptions::default() };
                 let masks = masks_of(options).expect("masks");
                 let at = |lambda: f64| masks.weight_at(masks.loss_from, lambda);
                 assert_eq!([0.0, own / 5.0, own].map(at), [masks.weight; 3]);
-                assert!((at(4.0 * own) / masks.weight - at_four_times).abs() < 1e-6);
+                assert!((at(4.0 * own) / masks.weight - 4.0).abs() < 1e-6);
                 assert!((at(f64::MAX) / masks.weight - 16.0).abs() < 1e-5, "some Gaussians are left");
                 assert_eq!(masks.weight_at(masks.loss_from - 1, own), 0.0);
             }
