@@ -169,7 +169,7 @@ fn against_bytes(groups: &[&Group<'_>], set: &str) -> Vec<Plot> {
             };
             let bytes = group.estimate(|run| Some(of(run)?.bytes as f64));
             let psnr = group.estimate(|run| of(run)?.psnr);
-            add(format!("{} in other formats", group.model()), bytes, psnr, file.format.clone(), true);
+            add(format!("{} in other formats", group.family()), bytes, psnr, file.format.clone(), true);
         }
         for export in &group.first().exports {
             let of =
@@ -177,7 +177,7 @@ fn against_bytes(groups: &[&Group<'_>], set: &str) -> Vec<Plot> {
             let bytes = group.estimate(|run| Some(of(run)?.bytes as f64));
             let psnr = group.estimate(|run| of(run)?.psnr);
             let label = format!("{} as {}", group.name(), export.format.name());
-            add(format!("{} exported", group.model()), bytes, psnr, label, true);
+            add(format!("{} exported", group.family()), bytes, psnr, label, true);
         }
     }
     for one in &mut series {

@@ -88,9 +88,18 @@ impl<'a> Group<'a> {
         if self.varying.adapter { format!(" on {}", self.first().adapter) } else { String::new() }
     }
 
-    /// The curve that its point belongs to: model and schedule, as `tcgs, 300 steps`.
+    /// The model, or one name for plain Gaussians that are pruned to any number.
+    pub fn family(&self) -> String {
+        if self.is_pruned() { format!("pruned 3dgs{}", self.on_adapter()) } else { self.model() }
+    }
+
+    fn is_pruned(&self) -> bool {
+        self.first().options.target_gaussians.is_some()
+    }
+
+    /// The curve that its point belongs to: models and schedule, as `tcgs, 300 steps`.
     pub fn curve_name(&self) -> String {
-        format!("{}, {} steps{}", self.model(), self.first().metrics.steps, self.variant())
+        format!("{}, {} steps{}", self.family(), self.first().metrics.steps, self.variant())
     }
 
     /// Preset and background, where the report has several.
@@ -205,7 +214,8 @@ pub struct CurveDifference {
 
 impl Curve {
     /// The curves of all groups. A model with several weights has one for each schedule, through its weights; another model one through
-    /// its schedules; the formats that a scene of plain Gaussians was converted to make one more.
+    /// its schedules; the formats that a scene of plain Gaussians was converted to make one more. Plain Gaussians that are pruned to several
+    /// numbers have one for each schedule, and one for each format that they are exported to.
     pub fn all(groups: &[Group<'_>]) -> Vec<Self> {
         let mut curves: Vec<Self> = Vec::new();
         for group in groups {
@@ -216,14 +226,24 @@ impl Curve {
                     && other.has_schedule_of(group)
                     && other.first().options.lambda != run.options.lambda
             });
-            let name = match is_weighted {
-                true => format!("{}, by weight", group.curve_name()),
-                false => format!("{}{}, by steps", group.name(), group.variant()),
+            let name = if is_weighted {
+                format!("{}, by weight", group.curve_name())
+            } else if group.is_pruned() {
+                format!("{}, by number", group.curve_name())
+            } else {
+                format!("{}{}, by steps", group.name(), group.variant())
             };
             for run in &group.runs {
                 let point = run.metrics.test.psnr.map(|psnr| (run.metrics.bytes.total as f64, psnr));
                 Self::add(&mut curves, run, &name, point);
-                if run.options.model == ModelKind::Gaussians3d && !run.external_formats.is_empty() {
+                for export in run.exports.iter().filter(|_| group.is_pruned()) {
+                    let name = format!("{} as {}, by number", group.curve_name(), export.format.name());
+                    Self::add(&mut curves, run, &name, export.psnr.map(|psnr| (export.bytes as f64, psnr)));
+                }
+                if run.options.model == ModelKind::Gaussians3d
+                    && !group.is_pruned()
+                    && !run.external_formats.is_empty()
+                {
                     let name = format!("{}, by format", group.curve_name());
                     Self::add(&mut curves, run, &name, point);
                     for file in &run.external_formats {
@@ -298,10 +318,10 @@ impl Curve {
 
 #[cfg(test)]
 pub mod tests {
-    use tcgs_codec::domain::{Background, Digest, Preset};
+    use tcgs_codec::domain::{Background, Digest, Preset, SceneFormat};
 
     use super::*;
-    use crate::report::machine::Machine;
+    use crate::report::{machine::Machine, record::ExportRecord};
 
     /// A record of a run with these figures.
     pub(in crate::report) fn record(
@@ -398,6 +418,34 @@ pub mod tests {
         let apart = &Curve::differences(&elsewhere)[0];
         assert_eq!(apart.cubic[0].or(apart.pchip[0]), None, "a mean over two of three seeds");
         assert_eq!(apart.pchip[1].expect("all share sizes").runs, 3);
+    }
+
+    #[test]
+    fn pruned_gaussians_of_several_numbers_are_one_curve_in_each_format() {
+        let mut records = Vec::new();
+        for (place, number) in [1000, 2000].into_iter().enumerate() {
+            let mut run = record(ModelKind::Gaussians3d, None, 0, 30.0 + place as f64, 8000 << place);
+            run.model = format!("3dgs:{number}");
+            run.options.target_gaussians = Some(number);
+            run.exports = vec![ExportRecord {
+                format: SceneFormat::Spz,
+                bytes: 1000 << place,
+                gaussians: number.into(),
+                psnr: Some(29.0 + place as f64),
+                psnr_to_source: 40.0,
+            }];
+            records.push(run);
+        }
+        records.push(record(ModelKind::Gaussians3d, None, 0, 33.0, 40_000));
+        let groups = Group::all(&records);
+        let curves = Curve::all(&groups);
+        let names: Vec<_> = curves.iter().map(|curve| curve.name.as_str()).collect();
+        assert_eq!(
+            names,
+            ["pruned 3dgs, 100 steps, by number", "pruned 3dgs, 100 steps as spz, by number"],
+            "plain Gaussians alone are a point"
+        );
+        assert_eq!(curves[1].seeds, [(0, vec![(1000.0, 29.0), (2000.0, 30.0)])]);
     }
 
     #[test]
