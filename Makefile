@@ -19,7 +19,7 @@ FUZZ_SECONDS ?= 600
 KILLS ?= 105
 SOAK_TESTS ?= system::soak system::crash_points system::io_faults system::reordered bucket_faults
 
-.PHONY: help setup web build demo poses results long-results opponents gate test examples schemathesis generated-client deb container-smoke manifests swiftshader validation interop viewer-pictures frame-times external-formats gpu-kit hardware-report fuzz soak lint clean
+.PHONY: help setup web build demo poses results long-results opponents ladder gate test examples schemathesis generated-client deb container-smoke manifests swiftshader validation interop viewer-pictures frame-times external-formats gpu-kit hardware-report fuzz soak lint clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## /  make \1\t/p' Makefile | expand -t 16
@@ -52,6 +52,9 @@ long-results: build ## the same of benches/long.toml, whole runs of preview, int
 
 opponents: build ## the same of benches/opponents.toml, plain Gaussians pruned to a number beside the method, into docs/OPPONENTS.md
 	$(call report,opponents,OPPONENTS)
+
+ladder: build ## the same of benches/ladder.toml, one set at several sizes, into docs/LADDER.md
+	$(call report,ladder,LADDER)
 
 gate: setup ## hold PSNR, bytes and speed of two fixed scenes to scripts/gate.json; UPDATE=1 rewrites it
 	@$(BUILD)
