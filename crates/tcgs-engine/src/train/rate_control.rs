@@ -163,9 +163,8 @@ impl RateControl {
             return;
         }
         let target = self.target.max(MIN_TARGET * fixed);
-        let masks = self.masks.map_or(1.0, |masks| masks.factor(self.lambda()));
-        let error =
-            (bytes * remaining_share(done, self.length(), masks) / target).ln().clamp(-MAX_ERROR, MAX_ERROR);
+        let remaining = remaining_share(done, self.length(), self.mask_factor());
+        let error = (bytes * remaining / target).ln().clamp(-MAX_ERROR, MAX_ERROR);
         let gain = if self.step == 0 {
             INITIAL_GAIN
         } else if done < SETTLED {
@@ -176,6 +175,11 @@ impl RateControl {
         let gain = if self.masks.is_some() { GAIN_WITH_MASKS * gain } else { gain };
         self.log_ratio = (self.log_ratio + gain * error).clamp(0.0, MAX_RATIO.ln());
         self.step = step;
+    }
+
+    /// How many times as much the mask loss weighs as at the preset's own lambda.
+    fn mask_factor(&self) -> f64 {
+        self.masks.map_or(1.0, |masks| masks.factor(self.lambda()))
     }
 
     fn length(&self) -> f64 {
@@ -261,8 +265,8 @@ mod tests {
                 let noise = 1.0 + 0.02 * (f64::from(step) * 0.7).sin();
                 let (begin, end) = (f64::from(*control.window.start()), f64::from(*control.window.end()));
                 let done = (f64::from(step) - begin) / (end - begin);
-                let masks = control.masks.map_or(1.0, |masks| masks.factor(control.lambda()));
-                control.observe(step, file.estimate(done, end - begin, masks) * noise, file.fixed);
+                let estimate = file.estimate(done, end - begin, control.mask_factor());
+                control.observe(step, estimate * noise, file.fixed);
                 seen.push(file.bytes());
             }
         }
