@@ -72,7 +72,7 @@ impl fmt::Display for Conventions {
         let lpips = lpips.as_deref().unwrap_or("not measured, no weights");
         write!(
             f,
-            "images: {images}; PSNR: {psnr}; SSIM: {ssim}; LPIPS: {lpips}; held out: {held_out}; means: {means}"
+            "Images: {images}. PSNR: {psnr}. SSIM: {ssim}. LPIPS: {lpips}. Held out: {held_out}. Means: {means}."
         )
     }
 }
@@ -96,5 +96,14 @@ mod tests {
             assert!(stated.to_string().contains(network.name()));
         }
         assert_eq!(Conventions::default().lpips, None);
+    }
+
+    #[test]
+    fn each_convention_is_a_sentence() {
+        let stated = Conventions::default().to_string();
+        let sentences: Vec<_> = stated.split_inclusive(". ").collect();
+        assert_eq!(sentences.len(), 6, "{stated}");
+        assert!(sentences.iter().all(|sentence| sentence.starts_with(char::is_uppercase)), "{stated}");
+        assert!(stated.ends_with('.'), "{stated}");
     }
 }
