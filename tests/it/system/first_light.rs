@@ -31,8 +31,8 @@ use crate::support::{
 };
 
 const STEPS: u32 = 60;
-/// Seconds of training in each of several attempts: progress is reported once a second, so an attempt that resumes
-/// shortly before the last of [`STEPS`] ends without having been seen in training.
+/// Of a job with several attempts, so that each trains for seconds. Progress is reported once a second: an attempt that resumed
+/// shortly before the last of [`STEPS`] would end without having been seen in training.
 const STEPS_OF_ATTEMPTS: u32 = 3 * STEPS;
 const SEED: u64 = 5;
 const SIDE: u32 = 48;
