@@ -5,7 +5,7 @@ use rand::RngExt;
 
 use super::*;
 use crate::{
-    domain::{ColorFitScores, Digest, Image, Intrinsics, Layout, PointCloud, Pose},
+    domain::{Camera, ColorFitScores, Digest, Image, Intrinsics, Layout, ModelKind, PointCloud, Pose},
     eval::{ViewMeasurement, mean_color_fit},
     gpu::testing::lavapipe,
     render::{

@@ -5,36 +5,40 @@
 //! records the next and then reads whether a step of the first overflowed the rasterizer's buffers. If so, the steps from there on,
 //! which have changed nothing, are repeated with larger ones.
 
-use std::{borrow::Cow, collections::VecDeque, sync::Arc, time::Instant};
+mod checkpoint_writer;
+mod model_factory;
+mod submission;
+
+use std::{collections::VecDeque, sync::Arc, time::Instant};
 
 use rand::{SeedableRng, seq::SliceRandom};
 use rand_pcg::Pcg64;
 
+use checkpoint_writer::CheckpointWriter;
+use model_factory::ModelFactory;
+use submission::is_long;
+
 use super::{
     Checkpoint, CheckpointSink, ColorCorrections, Estimate, ImageLoss, Learning, LossSums, Needs,
     RateControl, Result, Schedule, TrainError, WaveletWeights,
-    anchor_stage::AnchorStage,
-    anchor_trainer::AnchorTrainer,
     batch::{Batch, Flight, REPORT_INTERVAL},
-    checkpoint::{ModelState, RunIdentity, RunState},
+    checkpoint::{RunIdentity, RunState},
     exposure::{ShortRun, Trial, choose},
     loss::PartialSums,
     model_trainer::{BitrateSample, FigureBuffers, FinishedModel, ModelTrainer, Step, Views},
     monitor::Monitor,
     photographs::Photographs,
-    plain::PlainTrainer,
     scene_extent::scene_extent,
-    scene_frame::{Points, TrainingSet, scene_frame},
+    scene_frame::{TrainingSet, scene_frame},
     trained::Trained,
 };
 use crate::{
     domain::{
-        Background, Camera, CancelFlag, Choices, Component, Dataset, Exposure, ExposureChoice, FailurePoint,
-        Frame, MemoryBudget, ModelKind, NearPlane, Progress, Scene, SceneFrame, SizeBound, Split,
-        TrainOptions, Widths, failure_point::reach,
+        Background, CancelFlag, Choices, Component, Dataset, Exposure, ExposureChoice, FailurePoint, Frame,
+        MemoryBudget, NearPlane, Progress, Scene, SceneFrame, SizeBound, Split, TrainOptions, Widths,
+        failure_point::reach,
     },
-    gpu::{Binding, Device, KernelVariant, RawBuffer, Readback, Recorder},
-    init::random_points,
+    gpu::{Binding, Device, RawBuffer, Readback, Recorder},
     model::ModelShape,
     render::{RasterSettings, Rasterizer},
 };
@@ -135,42 +139,6 @@ impl<'a, 'c> Trainer<'a, 'c> {
     }
 }
 
-/// Saves checkpoints of a run, at most one per step.
-struct CheckpointWriter<'a> {
-    sink: Option<&'a mut dyn CheckpointSink>,
-    /// Step of the newest checkpoint.
-    saved_step: u32,
-}
-
-impl CheckpointWriter<'_> {
-    fn wants(&mut self, step: u32) -> bool {
-        self.sink.as_mut().is_some_and(|sink| sink.wants(step))
-    }
-
-    /// The report, with the step of the newest checkpoint.
-    fn with_checkpoint_step(&self, progress: Progress) -> Progress {
-        Progress { checkpoint_step: u64::from(self.saved_step), ..progress }
-    }
-
-    /// Saves the state of a run that was resumed from elsewhere, so that the next interruption finds it.
-    fn keep_first(&mut self, run: &Run) {
-        if self.sink.as_ref().is_some_and(|sink| !sink.has_one()) {
-            self.saved_step = 0;
-            self.save(run);
-        }
-    }
-
-    /// Saves the run's state. A failure is only logged: the run can continue without a checkpoint.
-    fn save(&mut self, run: &Run) {
-        let step = run.state.step;
-        let Some(sink) = self.sink.as_mut().filter(|_| step != self.saved_step) else { return };
-        match run.checkpoint().and_then(|checkpoint| Ok(sink.save(&checkpoint)?)) {
-            Ok(()) => self.saved_step = step,
-            Err(error) => tracing::warn!(step, "checkpoint of step {step} not saved: {error}"),
-        }
-    }
-}
-
 /// Warns if growth is capped by memory.
 fn warn_if_capped(wanted: usize, estimate: &Estimate) {
     if estimate.size < wanted {
@@ -180,78 +148,6 @@ fn warn_if_capped(wanted: usize, estimate: &Estimate) {
             estimate.unit,
         );
     }
-}
-
-/// Creates the model's trainer, new or from a checkpoint.
-struct ModelFactory<'a> {
-    device: &'a Arc<Device>,
-    set: &'a TrainingSet,
-    schedule: Schedule,
-}
-
-impl ModelFactory<'_> {
-    /// The trainer at the start of a run.
-    fn create(self, rng: &mut Pcg64) -> Result<Box<dyn ModelTrainer>> {
-        let Self { device, set, schedule } = self;
-        let extent = scene_extent(set);
-        let points = match &set.points {
-            Some(points) => Cow::Borrowed(points),
-            None => {
-                let (low, high) = set.init_box.corners();
-                let positions = random_points(rng, schedule.random_points, low, high);
-                Cow::Owned(Points { positions, colors: Vec::new() })
-            }
-        };
-        let Points { positions, colors } = points.as_ref();
-        Ok(match schedule.model {
-            ModelKind::Tcgs | ModelKind::Scaffold => {
-                if schedule.plain_until > 0 {
-                    let first =
-                        PlainTrainer::new(device, schedule.plain.clone(), positions, colors, extent, rng)?;
-                    Box::new(first.followed_by(AnchorStage::new(schedule, extent)))
-                } else {
-                    Box::new(AnchorTrainer::new(device, schedule, points.as_ref(), extent, rng)?)
-                }
-            }
-            ModelKind::Gaussians3d => {
-                Box::new(PlainTrainer::new(device, schedule.plain, positions, colors, extent, rng)?)
-            }
-        })
-    }
-
-    /// The trainer that a checkpoint holds the state of.
-    fn resume(self, state: ModelState) -> Result<Box<dyn ModelTrainer>> {
-        let Self { device, set, schedule } = self;
-        let extent = scene_extent(set);
-        Ok(match schedule.model {
-            ModelKind::Tcgs | ModelKind::Scaffold
-                if schedule.plain_until > 0 && PlainTrainer::saved(&state) =>
-            {
-                let first = PlainTrainer::resume(device, schedule.plain.clone(), extent, state)?;
-                Box::new(first.followed_by(AnchorStage::new(schedule, extent)))
-            }
-            ModelKind::Tcgs | ModelKind::Scaffold => {
-                Box::new(AnchorTrainer::resume(device, schedule, extent, state)?)
-            }
-            ModelKind::Gaussians3d => Box::new(PlainTrainer::resume(device, schedule.plain, extent, state)?),
-        })
-    }
-}
-
-/// Milliseconds of a step on an H100 that one submission may take. Drivers reset a device after two seconds; a card a twentieth as fast
-/// then has a tenth of that.
-const MAX_SUBMISSION_MS: f64 = 10.0;
-
-/// Milliseconds of a step on an H100 for a Gaussian and for a pixel (docs/HARDWARE.md).
-const MS_A_GAUSSIAN: f64 = 6e-6;
-const MS_A_PIXEL: f64 = 1e-6;
-
-/// Whether a step of `gaussians` Gaussians is submitted in parts, since a driver could take a slow card for a hung one. Software adapters
-/// have no such limit.
-fn is_long(device: &Device, gaussians: usize, camera: &Camera) -> bool {
-    let pixels = f64::from(camera.intrinsics.width) * f64::from(camera.intrinsics.height);
-    let milliseconds = MS_A_GAUSSIAN * gaussians as f64 + MS_A_PIXEL * pixels;
-    device.variant() == KernelVariant::Hardware && milliseconds > MAX_SUBMISSION_MS
 }
 
 fn has_masks(frames: &[Frame]) -> bool {

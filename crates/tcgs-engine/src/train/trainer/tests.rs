@@ -1,10 +1,11 @@
 use glam::DVec3;
 use rand::RngExt;
 
-use super::*;
+use super::{submission::MAX_SUBMISSION_MS, *};
 use crate::{
     domain::{
-        Camera, Digest, Image, Intrinsics, Layout, PointCloud, Pose, Preset, evenly_spaced::evenly_spaced,
+        Camera, Digest, Image, Intrinsics, Layout, ModelKind, PointCloud, Pose, Preset,
+        evenly_spaced::evenly_spaced,
     },
     gpu::testing::lavapipe,
     train::{CheckpointError, exposure::distance_of_mean},
