@@ -16,8 +16,10 @@
 //! - No handler sees the key, and none but those of sessions their hash.
 
 pub(super) mod caller;
+mod credentials;
 pub(super) mod cross_site;
 mod host;
+mod refusals;
 pub(super) mod revocation;
 mod scopes;
 mod session_cookie;
@@ -25,29 +27,33 @@ pub(super) mod shared_link;
 
 use axum::{
     extract::{MatchedPath, Request, State},
-    http::{HeaderMap, HeaderValue, Method, StatusCode, header},
+    http::{Method, StatusCode, header},
     middleware::Next,
     response::{IntoResponse as _, Response},
 };
-use base64::{Engine as _, engine::general_purpose::STANDARD};
 
-pub(super) use self::session_cookie::{ActiveSession, SESSION_COOKIE};
 use self::{
+    credentials::{Credentials, take_credentials},
     cross_site::{FollowedLink, RequestOrigin},
     host::{Hosts, only},
+    refusals::{
+        bad_key, no_key, not_by_basic, out_of_scope, session_ended, too_many_failures, too_many_requests,
+    },
     scopes::Access,
-    session_cookie::take_session,
     shared_link::{LinkRequest, PathToken},
+};
+pub(super) use self::{
+    refusals::bearer_needed,
+    session_cookie::{ActiveSession, SESSION_COOKIE},
 };
 use super::{
     client_address::{ClientAddress, TrustedProxies},
     origins::AllowedOrigins,
     problem::{Answer as _, ApiResult, ProblemResponse},
-    shared::Wait,
     state::AppState,
 };
 use crate::{
-    domain::{ApiKey, Caller, KeyHash, ProblemType, Scope, SessionToken},
+    domain::{Caller, ProblemType, SessionToken},
     store::KeyRecord,
 };
 
@@ -224,22 +230,6 @@ fn is_read(method: &Method) -> bool {
     matches!(*method, Method::GET | Method::HEAD)
 }
 
-/// The credentials of a request.
-enum Credentials {
-    Nothing,
-    Malformed,
-    /// As programs send it.
-    Bearer(ApiKey),
-    /// As browsers send it.
-    Basic(ApiKey),
-    /// A cookie, which has not been looked up.
-    Session(SessionToken),
-    /// A session and its key.
-    SignedIn(KeyHash, Box<KeyRecord>),
-    /// A cookie of no session.
-    EndedSession,
-}
-
 /// What a session's cookie stands for.
 ///
 /// # Errors
@@ -253,37 +243,6 @@ async fn signed_in(state: &AppState, token: &SessionToken, client: &ClientInfo) 
         return Err(ProblemType::CrossSiteRequest.because(detail));
     }
     Ok(Credentials::SignedIn(token.hash(), Box::new(record)))
-}
-
-/// Removes the `Authorization` and `Cookie` headers, so that no later code can disclose them.
-fn take_credentials(headers: &mut HeaderMap) -> Credentials {
-    let session = take_session(headers);
-    let mut values = headers.get_all(header::AUTHORIZATION).iter();
-    let credentials = match (values.next(), values.next()) {
-        (None, _) => session.map_or(Credentials::Nothing, Credentials::Session),
-        (Some(value), None) => parse_credentials(value).unwrap_or(Credentials::Malformed),
-        (Some(_), Some(_)) => Credentials::Malformed,
-    };
-    headers.remove(header::AUTHORIZATION);
-    credentials
-}
-
-fn parse_credentials(value: &HeaderValue) -> Option<Credentials> {
-    let (scheme, given) = value.to_str().ok()?.split_once(' ')?;
-    if scheme.eq_ignore_ascii_case("bearer") {
-        given.trim().parse().ok().map(Credentials::Bearer)
-    } else if scheme.eq_ignore_ascii_case("basic") {
-        password(given.trim()).map(Credentials::Basic)
-    } else {
-        None
-    }
-}
-
-/// The key in the credentials of HTTP Basic (RFC 7617): the password. The user name, in whatever encoding, is ignored.
-fn password(credentials: &str) -> Option<ApiKey> {
-    let decoded = STANDARD.decode(credentials).ok()?;
-    let colon = decoded.iter().position(|byte| *byte == b':')?;
-    std::str::from_utf8(&decoded[colon + 1..]).ok()?.parse().ok()
 }
 
 async fn admit(
@@ -354,104 +313,4 @@ fn record_use(state: &AppState, key: &KeyRecord) {
             );
         }
     });
-}
-
-fn no_key(reads: bool) -> ProblemResponse {
-    let detail = if reads {
-        "this service answers those who have a key: send 'Authorization: Bearer tcgs_...', or give a browser the key as password"
-    } else {
-        "this service answers those who have a key: send 'Authorization: Bearer tcgs_...'"
-    };
-    challenge(reads, ProblemType::NoKey.because(detail), BEARER)
-}
-
-fn bad_key(reads: bool) -> ProblemResponse {
-    let detail = "the Authorization header holds no key that this service knows: it is mistyped, revoked, expired or another service's";
-    let error = ProblemType::InvalidKey.because(detail);
-    challenge(reads, error, BEARER_INVALID)
-}
-
-fn not_by_basic() -> ProblemResponse {
-    bearer_needed("HTTP Basic is taken for GET and HEAD only")
-}
-
-/// 401 for what takes the key itself.
-pub(super) fn bearer_needed(why: &str) -> ProblemResponse {
-    let detail = format!("{why}; send the key as 'Authorization: Bearer tcgs_...'");
-    challenge(false, ProblemType::BearerNeeded.because(detail), BEARER)
-}
-
-/// 401 without a challenge by which a browser would ask its user for a password.
-fn session_ended() -> ProblemResponse {
-    let detail =
-        "the session has ended, with its key or by its age; sign in again on the page of this service";
-    challenge(false, ProblemType::NoKey.because(detail), BEARER)
-}
-
-const BEARER: &str = "Bearer realm=\"tcgs\"";
-const BEARER_INVALID: &str = "Bearer realm=\"tcgs\", error=\"invalid_token\"";
-const BASIC: &str = "Basic realm=\"tcgs\"";
-
-/// Adds the accepted authentication schemes; Basic, for which a browser asks its user, only for reads.
-fn challenge(reads: bool, error: ProblemResponse, bearer: &'static str) -> ProblemResponse {
-    let error = error.with_header(header::WWW_AUTHENTICATE, HeaderValue::from_static(bearer));
-    if reads { error.with_header(header::WWW_AUTHENTICATE, HeaderValue::from_static(BASIC)) } else { error }
-}
-
-fn out_of_scope(key: &KeyRecord, scope: Scope) -> ProblemResponse {
-    let has: Vec<&str> = key.scopes.iter().map(|scope| scope.name()).collect();
-    let detail =
-        format!("this needs the scope {}; the key '{}' has {}", scope.name(), key.name, has.join(", "));
-    let challenge = match scope {
-        Scope::Read => "Bearer realm=\"tcgs\", error=\"insufficient_scope\", scope=\"read\"",
-        Scope::DatasetsWrite => "Bearer realm=\"tcgs\", error=\"insufficient_scope\", scope=\"scenes:write\"",
-        Scope::JobsWrite => "Bearer realm=\"tcgs\", error=\"insufficient_scope\", scope=\"jobs:write\"",
-        Scope::Admin => "Bearer realm=\"tcgs\", error=\"insufficient_scope\", scope=\"admin\"",
-    };
-    ProblemType::InsufficientScope
-        .because(detail)
-        .with_header(header::WWW_AUTHENTICATE, HeaderValue::from_static(challenge))
-}
-
-fn too_many_requests(key: &KeyRecord, wait: Wait) -> ProblemResponse {
-    let detail = format!(
-        "the key '{}' has sent more requests than its rate allows; retry after {} s",
-        key.name,
-        wait.seconds()
-    );
-    ProblemType::TooManyRequests.because(detail).with_header(header::RETRY_AFTER, wait.seconds().into())
-}
-
-fn too_many_failures(reads: bool, wait: Wait) -> ProblemResponse {
-    let detail =
-        "too many requests without a valid key came from this address; send one with a valid key, or wait";
-    let error = ProblemType::TooManyFailures.because(detail);
-    challenge(reads, error.with_header(header::RETRY_AFTER, wait.seconds().into()), BEARER)
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn no_credentials_stay_in_the_headers_whatever_they_are() {
-        let key = "tcgs_000102030405060708090a0b0c0d0e0f10111213b57d5e69";
-        for (values, is_bearer) in [
-            (vec![format!("Bearer {key}")], true),
-            (vec![format!("Basic {}", STANDARD.encode(format!("me:{key}")))], false),
-            (vec![key.to_owned()], false),
-            (vec![format!("Bearer {key}"), format!("Bearer {key}")], false),
-        ] {
-            let mut headers = HeaderMap::new();
-            for value in &values {
-                headers.append(header::AUTHORIZATION, value.parse().expect("a value"));
-            }
-            assert_eq!(
-                matches!(take_credentials(&mut headers), Credentials::Bearer(_)),
-                is_bearer,
-                "{values:?}"
-            );
-            assert!(headers.is_empty(), "{values:?}");
-        }
-    }
 }
