@@ -3,98 +3,29 @@
 
 mod compression;
 mod growth;
+mod learning_rate;
+mod masks;
 mod plain;
 mod table;
 
 use std::ops::Range;
 
 pub use compression::{BaseQuantStepRule, CompressionSchedule, CompressionStage};
+pub use learning_rate::{Decay, DecayShape};
+pub use masks::MaskSchedule;
 pub(super) use plain::PlainSchedule;
 pub use table::schedule_table;
 
-use super::{MaskWeightGrowth, RateControl};
+use self::{
+    learning_rate::{anchor_learning_rate, network_learning_rate},
+    masks::masks,
+};
+use super::RateControl;
 use crate::{
     domain::{Component, ModelKind, Preset, SceneFrame, TrainOptions, Voxel},
     init::{PassingUnits, VoxelRule},
     model::ModelShape,
 };
-
-/// Largest factor of the anchors' learning rates in short runs.
-const MAX_SPEEDUP: f64 = 3.2;
-
-/// Largest factor of the masks' learning rate in short runs: beyond it, one step moves a logit all the way to the level.
-const MAX_MASK_SPEEDUP: f64 = 125.0;
-
-/// How a learning rate decays from its first value to its last.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum DecayShape {
-    /// By the same factor every step (METHOD.md §2.5).
-    Exponential,
-    /// With the square of the remaining fraction of the run.
-    Quadratic,
-}
-
-/// A learning rate that decays from `start` to `end`.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Decay {
-    /// At the first step.
-    pub start: f64,
-    /// At the last step.
-    pub end: f64,
-    /// How it decays in between.
-    pub shape: DecayShape,
-}
-
-impl Decay {
-    /// A learning rate that decays by the same factor every step, like the published ones.
-    #[must_use]
-    pub const fn exponential(start: f64, end: f64) -> Self {
-        Self { start, end, shape: DecayShape::Exponential }
-    }
-
-    const fn constant(learning_rate: f64) -> Self {
-        Self::exponential(learning_rate, learning_rate)
-    }
-
-    /// The learning rate at a fraction of the run.
-    #[must_use]
-    pub fn at(&self, fraction: f64) -> f64 {
-        let fraction = fraction.clamp(0.0, 1.0);
-        let left = 1.0 - fraction;
-        match self.shape {
-            DecayShape::Exponential => (left * self.start.ln() + fraction * self.end.ln()).exp(),
-            DecayShape::Quadratic => self.end + left * left * (self.start - self.end),
-        }
-    }
-}
-
-/// How many times shorter a run of `steps` steps is than the published one of 30 000 steps.
-pub(super) fn speedup(steps: u32) -> f64 {
-    30_000.0 / f64::from(steps.max(1))
-}
-
-/// A published learning rate of anchors, adapted to a run of `steps` steps. Adam moves a parameter by at most the sum of its
-/// learning rates, so in shorter runs they start larger and decay later. A linear decay would have a larger sum still, but keeps
-/// the rates too high at the end, where masks are fixed and attributes rounded. The factor is the fourth root of the speedup, as
-/// for the parameters of plain Gaussians other than means, so that no model gains from faster learning rates.
-fn anchor_learning_rate(published: Decay, steps: u32) -> Decay {
-    let factor = speedup(steps).sqrt().sqrt().min(MAX_SPEEDUP);
-    if factor <= 1.0 {
-        return published;
-    }
-    Decay { start: factor * published.start, end: published.end, shape: DecayShape::Quadratic }
-}
-
-/// The same for the render networks, which every anchor shares: they learn as fast in runs of up to 3000 steps as in one of 300, and
-/// only then more slowly. Until then more of a run goes to what they have to learn from scratch, such as what differs between views.
-fn network_learning_rate(published: Decay, steps: u32) -> Decay {
-    let decay = anchor_learning_rate(published, steps);
-    let start = published.start * speedup(steps).sqrt().min(NETWORK_SPEEDUP);
-    if start > decay.start { Decay { start, shape: DecayShape::Quadratic, ..decay } } else { decay }
-}
-
-/// Largest factor of the render networks' learning rates in runs of more than 300 steps.
-const NETWORK_SPEEDUP: f64 = 3.16;
 
 /// Steps from which on anchors that were Gaussians begin with [`PassingUnits::RECTIFYING`]: shorter runs do not make up for what it
 /// costs at first.
@@ -111,44 +42,6 @@ const COARSEST_PREVIEW_GROWTH: u16 = 4;
 /// surfaces are found, however long the run.
 const PLAIN_SHARE: f64 = 0.2;
 const MAX_PLAIN_STEPS: u32 = 500;
-
-/// When offset masks learn, and how fast.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct MaskSchedule {
-    /// First step at which they learn.
-    pub from: u32,
-    /// First step at which their loss counts.
-    pub loss_from: u32,
-    /// Last step at which they learn. After it, anchors without offsets are pruned and the masks stay fixed while the remaining
-    /// parameters converge.
-    pub until: u32,
-    /// Learning rate of the logits, independent of the scene's extent.
-    pub learning_rate: Decay,
-    /// Weight of the mean logistic of the logits in the loss, for a lambda up to the preset's own.
-    pub weight: f32,
-    /// How the weight grows with lambda, so that an offset has to be worth the price of its bits (METHOD.md §4.1). None where it
-    /// stays as published.
-    pub growth: Option<MaskWeightGrowth>,
-    /// The logit above which an offset makes Gaussians.
-    pub level: f32,
-}
-
-impl MaskSchedule {
-    /// Whether masks learn at `step`.
-    #[must_use]
-    pub fn learns(&self, step: u32) -> bool {
-        (self.from..=self.until).contains(&step)
-    }
-
-    /// The loss's weight at `step`, where the rate term weighs `lambda`.
-    #[must_use]
-    pub fn weight_at(&self, step: u32, lambda: f64) -> f32 {
-        if step < self.loss_from {
-            return 0.0;
-        }
-        (f64::from(self.weight) * self.growth.map_or(1.0, |growth| growth.factor(lambda))) as f32
-    }
-}
 
 /// When what happens, and how fast parameters learn.
 #[derive(Debug, Clone, PartialEq)]
@@ -397,51 +290,6 @@ impl Schedule {
     }
 }
 
-/// The `paper` preset has the published learning rate, weight and level (METHOD.md §4.1): masks learn from the first step,
-/// and their loss counts from a third of the run. In shorter runs a learning rate for 30 000 steps would leave every logit near
-/// its initial value, so there
-/// - the learning rate grows as runs shorten, so that a logit can move equally far;
-/// - the level is nearer: the logistic's slope at 0.01 is a twentieth of its slope at the initial logit, and Adam, whose second
-///   moments average over a thousand steps, would move too slowly there;
-/// - masks learn once growth has ended, as they would otherwise remove the offsets that growth starts from;
-/// - the weight is larger, so that the loss removes offsets of little effect within half the steps, and grows with lambda.
-fn masks(options: &TrainOptions, steps: u32) -> Option<MaskSchedule> {
-    if !options.has(Component::Masks) {
-        return None;
-    }
-    let part = |fraction: f64| (f64::from(steps) * fraction).round() as u32;
-    let published = MaskSchedule {
-        from: 1,
-        loss_from: part(1.0 / 3.0) + 1,
-        until: part(0.7),
-        learning_rate: Decay::exponential(1e-2, 1e-4),
-        weight: 5e-4,
-        growth: None,
-        level: logit(0.01),
-    };
-    if options.preset == Preset::Paper {
-        return Some(published);
-    }
-    let scale = speedup(steps).clamp(1.0, MAX_MASK_SPEEDUP);
-    Some(MaskSchedule {
-        from: part(0.5) + 1,
-        loss_from: part(0.5) + 1,
-        until: part(0.75),
-        learning_rate: Decay::exponential(
-            scale * published.learning_rate.start,
-            scale * published.learning_rate.end,
-        ),
-        weight: 1e-2,
-        growth: Some(MaskWeightGrowth { from: compression::default_lambda(options.preset) }),
-        level: logit(0.2),
-    })
-}
-
-/// The number whose logistic is `share`.
-fn logit(share: f64) -> f32 {
-    (share / (1.0 - share)).ln() as f32
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -470,50 +318,12 @@ mod tests {
     }
 
     #[test]
-    fn rates_fall_between_their_ends() {
-        let square = Decay { start: 3.0, end: 1.0, shape: DecayShape::Quadratic };
-        assert_eq!([-1.0, 0.0, 0.5, 1.0, 2.0].map(|fraction| square.at(fraction)), [3.0, 3.0, 1.5, 1.0, 1.0]);
-        let decay = Decay::exponential(1e-2, 1e-4);
-        assert!((decay.at(0.0) - 1e-2).abs() < 1e-12);
-        assert!((decay.at(0.5) - 1e-3).abs() < 1e-12);
-        assert!((decay.at(1.0) - 1e-4).abs() < 1e-12);
-        assert!((decay.at(2.0) - 1e-4).abs() < 1e-12);
-    }
-
-    #[test]
     fn short_runs_grow_too() {
         for (steps, rounds) in [(400, 7), (1_000, 14), (2_000, 14), (10_000, 44)] {
             let options = TrainOptions { iterations: Some(steps), ..TrainOptions::default() };
             let schedule = Schedule::new(&options);
             let grows = (1..=steps).filter(|step| schedule.densifies(*step)).count();
             assert_eq!(grows, rounds, "{steps} steps");
-        }
-    }
-
-    #[test]
-    fn rates_of_anchors_in_shorter_runs_begin_faster_stay_so_longer_and_end_as_published() {
-        let of =
-            |steps: u32| Schedule::new(&TrainOptions { iterations: Some(steps), ..TrainOptions::default() });
-        let rates = |schedule: &Schedule| {
-            let [opacity, covariance, color] = schedule.networks;
-            [schedule.offset, schedule.feature, schedule.scaling, opacity, covariance, color]
-        };
-        let published = rates(&of(30_000));
-        assert_eq!(published.map(|rate| rate.start), [0.01, 0.0075, 0.007, 2e-3, 4e-3, 8e-3]);
-        assert_eq!(rates(&of(100_000)), published);
-        let factors = [
-            (10_000, 1.316, 1.732),
-            (2_000, 1.968, 3.16),
-            (300, 3.162, 3.162),
-            (1, MAX_SPEEDUP, MAX_SPEEDUP),
-        ];
-        for (steps, of_rows, of_networks) in factors {
-            for (index, (rate, published)) in rates(&of(steps)).iter().zip(published).enumerate() {
-                let factor = if index < 3 { of_rows } else { of_networks };
-                assert!((rate.start / published.start - factor).abs() < 1e-3, "{steps} steps: {rate:?}");
-                assert!((rate.end / published.end - 1.0).abs() < 1e-12, "{steps} steps: {rate:?}");
-                assert_eq!((rate.shape, published.shape), (DecayShape::Quadratic, DecayShape::Exponential));
-            }
         }
     }
 
@@ -569,73 +379,6 @@ mod tests {
         ];
         for options in published {
             assert_eq!([1, 900, 14_000].map(|step| at(options.clone(), step, 0.01)), [2e-4; 3]);
-        }
-    }
-
-    fn masks_of(options: TrainOptions) -> Option<MaskSchedule> {
-        Schedule::new(&options).masks
-    }
-
-    #[test]
-    fn masks_of_the_paper_preset_have_the_published_values() {
-        let options = TrainOptions { preset: Preset::Paper, ..TrainOptions::default() };
-        let masks = masks_of(options).expect("masks");
-        assert_eq!((masks.from, masks.loss_from, masks.until), (1, 10_001, 21_000));
-        assert_eq!((masks.learning_rate, masks.weight), (Decay::exponential(1e-2, 1e-4), 5e-4));
-        assert!((masks.level + 4.595_12).abs() < 1e-5);
-        assert_eq!([10_000, 10_001].map(|step| masks.weight_at(step, 1.0)), [0.0, 5e-4]);
-        assert!(masks.learns(1) && masks.learns(21_000) && !masks.learns(21_001));
-    }
-
-    #[test]
-    fn masks_cost_more_where_bits_do_and_no_less_than_at_the_presets_own_weight() {
-        for preset in [Preset::Preview, Preset::Standard] {
-            let own = compression::default_lambda(preset);
-            for max_bytes in [None, Some(100_000)] {
-                let options = TrainOptions { preset, max_bytes, ..TrainOptions::default() };
-                let masks = masks_of(options).expect("masks");
-                let at = |lambda: f64| masks.weight_at(masks.loss_from, lambda);
-                assert_eq!([0.0, own / 5.0, own].map(at), [masks.weight; 3]);
-                assert!((at(4.0 * own) / masks.weight - 4.0).abs() < 1e-6);
-                assert!((at(f64::MAX) / masks.weight - 16.0).abs() < 1e-5, "some Gaussians are left");
-                assert_eq!(masks.weight_at(masks.loss_from - 1, own), 0.0);
-            }
-        }
-    }
-
-    #[test]
-    fn a_masks_way_is_the_same_in_runs_of_any_usual_length() {
-        let way = |steps: u32| -> f64 {
-            let options = TrainOptions { iterations: Some(steps), ..TrainOptions::default() };
-            let masks = masks_of(options).expect("masks");
-            assert_eq!(masks.from, masks.loss_from, "masks wait for their loss");
-            let learning = (1..=steps).filter(|step| masks.learns(*step));
-            learning.map(|step| masks.learning_rate.at(f64::from(step) / f64::from(steps))).sum()
-        };
-        for steps in [240, 500, 1_000, 2_000, 10_000, 30_000] {
-            assert!((way(steps) - 4.46).abs() < 0.1, "{steps} steps: {}", way(steps));
-        }
-        assert!(way(60) < 2.0, "the shortest runs keep their steps small: {}", way(60));
-    }
-
-    #[test]
-    fn masks_are_on_for_tcgs_unless_left_out_and_for_nothing_else() {
-        assert!(masks_of(TrainOptions::default()).is_some());
-        let without = [Component::Masks].into();
-        assert_eq!(masks_of(TrainOptions { without, ..TrainOptions::default() }), None);
-        let without = [Component::Wavelet].into();
-        assert!(masks_of(TrainOptions { without, ..TrainOptions::default() }).is_some());
-        for model in [ModelKind::Scaffold, ModelKind::Gaussians3d] {
-            assert_eq!(masks_of(TrainOptions { model, ..TrainOptions::default() }), None);
-        }
-    }
-
-    #[test]
-    fn masks_settle_before_the_end_of_the_shortest_runs() {
-        for steps in [1, 2, 3, 10, 400] {
-            let options = TrainOptions { iterations: Some(steps), ..TrainOptions::default() };
-            let masks = masks_of(options).expect("masks");
-            assert!((1..=steps).contains(&masks.until), "{steps} steps: {masks:?}");
         }
     }
 

@@ -17,7 +17,7 @@
 //! would end before Gaussians are where they belong. Hence the factors, which are one from 30 000 steps on and stay at their
 //! values of 300 steps below those.
 
-use super::{Decay, speedup};
+use super::{Decay, learning_rate::speedup};
 use crate::domain::{Background, Preset, TrainOptions};
 
 /// Steps that a reset of opacities needs to be made good.
