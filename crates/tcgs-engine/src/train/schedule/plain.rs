@@ -6,8 +6,9 @@
 //! | opacity reset | every 3 000, before 15 000 | every tenth of the run, but 600 steps apart or more |
 //! | one degree more | every 1 000 | every thirtieth of the run |
 //! | mean | 1.6e-4 to 1.6e-6 times extent, exponential | times the square root of 30 000 / steps |
-//! | constant color, other coefficients | 0.0025, a twentieth of it | times its fourth root |
-//! | log-scale, quaternion | 0.005, 0.001 | times its fourth root |
+//! | constant color | 0.0025 | times the fourth root |
+//! | other coefficients | a twentieth of it | times the square root, at most 8 |
+//! | log-scale, quaternion | 0.005, 0.001 | times the fourth root |
 //! | opacity | 0.05 | the same |
 //!
 //! Later versions of the published code halve the opacity's rate; the rate of the paper lets a short run recover from a
@@ -15,7 +16,8 @@
 //!
 //! Adam moves a mean by no more than the sum of its rates: by an extent in 30 000 steps, but by a hundredth of it in 300, which
 //! would end before Gaussians are where they belong. Hence the factors, which are one from 30 000 steps on and stay at their
-//! values of 300 steps below those.
+//! values of 300 steps below those. Coefficients beyond the constant color have the lowest rate of all, so what differs between views
+//! would come last: by the fourth root alone runs of 300 and 2000 steps lose half a dB and more (docs/ANALYSIS.md).
 
 use super::{Decay, learning_rate::speedup};
 use crate::domain::{Background, Preset, TrainOptions};
@@ -25,6 +27,9 @@ const RECOVERY: u32 = 600;
 
 /// The largest factor of the rate of means.
 const MAX_SPEEDUP: f64 = 10.0;
+
+/// The same of the coefficients beyond the constant color.
+const MAX_COEFFICIENT_SPEEDUP: f64 = 8.0;
 
 /// The screen gradient from which Gaussians grow that are to be pruned to a number: half the published one, so that there are more to
 /// choose from.
@@ -137,7 +142,7 @@ impl PlainSchedule {
                 .map(|target| PruningToNumber::new(target, densify_until, part(0.75 * 30_000.0))),
             mean: Decay::exponential(speed * 1.6e-4, speed * 1.6e-6),
             color: slower * 0.0025,
-            coefficients: slower * 0.0025 / 20.0,
+            coefficients: speed.min(MAX_COEFFICIENT_SPEEDUP) as f32 * 0.0025 / 20.0,
             opacity: 0.05,
             log_scale: slower * 0.005,
             quat: slower * 0.001,
@@ -217,7 +222,13 @@ mod tests {
     fn shorter_runs_learn_faster_up_to_a_bound() {
         let rates = |steps: u32| {
             let plain = schedule(steps, Background::Black);
-            [plain.mean.start, f64::from(plain.color), f64::from(plain.log_scale), f64::from(plain.quat)]
+            [
+                plain.mean.start,
+                plain.color.into(),
+                plain.coefficients.into(),
+                plain.log_scale.into(),
+                plain.quat.into(),
+            ]
         };
         let lengths = [30_000, 10_000, 2_000, 1_000, 300];
         for pair in lengths.windows(2) {
@@ -227,6 +238,9 @@ mod tests {
         assert_eq!(rates(1), rates(300));
         assert!((rates(300)[0] / rates(30_000)[0] - MAX_SPEEDUP).abs() < 1e-9);
         assert!((rates(300)[1] / rates(30_000)[1] - MAX_SPEEDUP.sqrt()).abs() < 1e-5);
+        let coefficients = |steps| rates(steps)[2] / rates(30_000)[2];
+        assert!((coefficients(300) - MAX_COEFFICIENT_SPEEDUP).abs() < 1e-5);
+        assert!((coefficients(2_000) - 15_f64.sqrt()).abs() < 1e-5, "as means");
     }
 
     #[test]
