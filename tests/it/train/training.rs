@@ -360,7 +360,7 @@ fn plain_gaussians_learn_the_views_that_they_see_and_one_that_they_do_not() {
     assert_eq!((trained.steps, scene.degree), (200, 3));
     assert!(scene.sh.iter().any(|sh| sh[15] != [0.0; 3]), "the highest degree learns too");
     assert_psnr("plain, untrained", psnr(&untrained.scene, &dataset, Split::Train), 26.78);
-    assert_psnr_within("plain, trained", psnr(&trained.scene, &dataset, Split::Train), 46.73, SINGLE_RUN);
+    assert_psnr_within("plain, trained", psnr(&trained.scene, &dataset, Split::Train), 48.31, SINGLE_RUN);
     assert_psnr_within("plain, held out", psnr(&trained.scene, &dataset, Split::Test), 37.65, SINGLE_RUN);
     let counts: Vec<u64> = reports.iter().map(|report| report.gaussians).collect();
     assert_eq!((counts[0], reports[0].anchors), (120, 0));
