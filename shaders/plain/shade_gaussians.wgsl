@@ -2,11 +2,9 @@
 // spherical harmonics towards the camera, at least zero. Gaussians behind the near plane or too transparent to reach a pixel
 // get opacity zero, and their coefficients are not read.
 #import tcgs::geometry::{quat_row, scale_row}
+#import tcgs::harmonics::{SH_ZERO, basis_of_one, basis_of_two, basis_of_three}
 #import tcgs::index::lane_index
-#import tcgs::plain::{
-    View, BASE, LOG_SCALE, QUAT, OPACITY, COLOR, DEGREE, ALPHA_MIN, SH_ZERO, bands_at, basis_of_one, basis_of_two,
-    basis_of_three, ray_to, to_camera,
-}
+#import tcgs::plain::{View, BASE, LOG_SCALE, QUAT, OPACITY, COLOR, DEGREE, ALPHA_MIN, bands_at, ray_to, to_camera}
 
 @group(0) @binding(0) var<uniform> view: View;
 @group(0) @binding(1) var<storage, read> base: array<f32>;

@@ -4,11 +4,11 @@
 // On hardware, the rows of a workgroup's Gaussians pass through workgroup memory, so that neighboring lanes read and write
 // neighboring values; the gradients replace the coefficients there.
 #import tcgs::geometry::{quat_row, scale_row}
-#import tcgs::index::group_index
-#import tcgs::plain::{
-    View, BASE, LOG_SCALE, QUAT, OPACITY, COLOR, BAND_VALUES, DEGREE, SH_ZERO, bands_at, basis_of_one, basis_of_two,
-    basis_of_three, ray_to, slope_of_one, slope_of_two, slope_of_three,
+#import tcgs::harmonics::{
+    SH_ZERO, basis_of_one, basis_of_two, basis_of_three, slope_of_one, slope_of_two, slope_of_three,
 }
+#import tcgs::index::group_index
+#import tcgs::plain::{View, BASE, LOG_SCALE, QUAT, OPACITY, COLOR, BAND_VALUES, DEGREE, bands_at, ray_to}
 
 @group(0) @binding(0) var<uniform> view: View;
 @group(0) @binding(1) var<storage, read> bands: array<f32>;

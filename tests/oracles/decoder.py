@@ -132,9 +132,11 @@ def decode(b):
     if m.u8(): m.text()
     m.text(); assert m.p==len(m.b)
     # nets
+    degree=1
+    if 'DIRS' in sec: degree,=sec['DIRS']; assert degree in (2,3)
     n=R(sec['NETS']); heads=[]
     for outs in (K,7*K,3*K):
-        ls=[];inp=F+4
+        ls=[];inp=F+(4,9,16)[degree-1]
         for _ in range(n.varint()):
             o=n.varint(); bs=n.f32(); ds=[dist(n) for _ in range(3)]; ls.append((inp,o,bs,ds)); inp=o
         assert inp==outs; heads.append(ls)
@@ -362,7 +364,7 @@ def decode(b):
     for net in nets:
         H.update(struct.pack('<Q',len(net)))
         for i,o,w,bi in net: H.update(struct.pack('<QQ',i,o)+struct.pack('<%df'%len(w),*[v+0.0 for v in w])+struct.pack('<%df'%len(bi),*[v+0.0 for v in bi]))
-    scene=dict(K=K,positions=[[f32(f32(c*vox)+o) for c,o in zip(cell,org)] for cell in cells],features=vals[0],scalings=vals[1],offsets=vals[2],masks=masks,networks=nets)
+    scene=dict(K=K,degree=degree,positions=[[f32(f32(c*vox)+o) for c,o in zip(cell,org)] for cell in cells],features=vals[0],scalings=vals[1],offsets=vals[2],masks=masks,networks=nets)
     return H.hexdigest(),dh.hex(),scene
 def main():
     for f in sys.argv[1:]:

@@ -24,11 +24,23 @@ def network(layers, values):
     return values
 
 
+def harmonics(degree, x, y, z):
+    if degree > 1:
+        yield from (math.sqrt(3) * x * y, -math.sqrt(3) * y * z, (2 * z * z - x * x - y * y) / 2)
+        yield from (-math.sqrt(3) * x * z, math.sqrt(3) / 2 * (x * x - y * y))
+    if degree > 2:
+        outer, inner, ring = math.sqrt(5 / 8), math.sqrt(3 / 8), 4 * z * z - x * x - y * y
+        yield from (-outer * y * (3 * x * x - y * y), math.sqrt(15) * x * y * z, -inner * y * ring)
+        yield z * (2 * z * z - 3 * x * x - 3 * y * y) / 2
+        yield from (-inner * x * ring, math.sqrt(15) / 2 * z * (x * x - y * y), -outer * x * (x * x - 3 * y * y))
+
+
 def gaussians(scene, anchor, eye):
     position, scalings, offsets = scene["positions"][anchor], scene["scalings"][anchor], scene["offsets"][anchor]
     away = [p - c for p, c in zip(position, eye)]
     distance = math.sqrt(sum(d * d for d in away))
-    given = [*scene["features"][anchor], *(d / distance for d in away), distance]
+    direction = [d / distance for d in away]
+    given = [*scene["features"][anchor], *direction, distance, *harmonics(scene["degree"], *direction)]
     opacity, shape, color = (network(layers, given) for layers in scene["networks"])
     for k in range(scene["K"]):
         alpha = math.tanh(opacity[k])

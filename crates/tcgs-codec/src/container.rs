@@ -174,6 +174,7 @@ fn parse_sections<'a>(table: &[u8], bytes: &'a [u8]) -> Result<Vec<Section<'a>>>
 /// The minor version that first had all of `ids`: a file states the oldest version whose decoders can read it.
 fn minor(ids: impl Iterator<Item = SectionId>) -> u16 {
     let first_with = |id| match id {
+        sections::DIRECTIONS => 3,
         sections::FRAME => 2,
         sections::REGRESSION => 1,
         _ => 0,

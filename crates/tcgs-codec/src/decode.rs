@@ -150,7 +150,9 @@ fn read_with(
     let of_positions = container.section(sections::POSITIONS)?.bytes;
     let of_masks = container.section(sections::MASKS)?.bytes;
     let regressions = regressions(&container, shape)?;
-    let networks = networks::decode(of_networks, manifest.feature_dim, k, limits.max_memory_bytes)?;
+    let view_degree = view::decode_view_degree(container.find(sections::DIRECTIONS))?;
+    let inputs = manifest.feature_dim + view_degree.inputs();
+    let networks = networks::decode(of_networks, inputs, k, limits.max_memory_bytes)?;
     if manifest.anchors as u64 >= positions::max_anchors_exclusive(of_positions.len()) {
         return Err(DecodeError::malformed(
             "positions",

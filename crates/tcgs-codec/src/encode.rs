@@ -163,6 +163,8 @@ fn assemble_sections(
     content
         .extend(view::encode_scene_scale(scene.scene_scale).map(|scene_scale| (sections::UNIT, scene_scale)));
     content.extend(view::encode_frame(scene.frame).map(|frame| (sections::FRAME, frame)));
+    content
+        .extend(view::encode_view_degree(scene.view_degree()).map(|degree| (sections::DIRECTIONS, degree)));
     content.extend(view::encode_near(scene.near).map(|view| (sections::VIEW, view)));
     container::write(&content, &[sections::VIEW])
 }

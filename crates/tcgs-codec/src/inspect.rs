@@ -97,6 +97,8 @@ pub struct Inspection {
     /// Unit of the distances that the networks get, in units of the frame.
     #[serde(rename = "distance_unit")]
     pub scene_scale: SceneScale,
+    /// Highest degree of the view direction's spherical harmonics that the networks get.
+    pub view_degree: u8,
     /// Sections in file order.
     pub sections: Vec<SectionReport>,
     /// Every byte of the file, in order.
@@ -148,6 +150,7 @@ pub fn inspect(bytes: &[u8]) -> Result<Inspection> {
         regressions,
         frame,
         scene_scale: view::decode_scene_scale(container.find(sections::UNIT))?,
+        view_degree: view::decode_view_degree(container.find(sections::DIRECTIONS))?.get(),
         sections: container.sections.iter().map(report).collect(),
         byte_counts: count(&map.ranges),
         ranges: map.ranges,
@@ -223,6 +226,7 @@ fn map_section(section: &Section<'_>, manifest: &Manifest, map: &mut Map) -> Res
         }
         sections::UNIT => map.push(length, ByteGroup::Container, "unit of the networks' distances"),
         sections::FRAME => map.push(length, ByteGroup::Container, "frame of the scene"),
+        sections::DIRECTIONS => map.push(length, ByteGroup::Container, "degree of the view direction"),
         sections::VIEW => map.push(length, ByteGroup::Container, "near plane"),
         _ => map.push(length, ByteGroup::Container, "optional section of a later version"),
     }
@@ -293,6 +297,7 @@ impl fmt::Display for Inspection {
             ("voxel", format!("{voxel} ({} world units)", f64::from(voxel) * frame.scale())),
             ("origin", format!("{x} {y} {z} in the frame")),
             ("scene scale", self.scene_scale.length().to_string()),
+            ("view degree", self.view_degree.to_string()),
             ("feature step", manifest.steps.feature.to_string()),
             (
                 "scaling step",

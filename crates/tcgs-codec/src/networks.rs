@@ -12,10 +12,7 @@ use super::{
     range::{StreamDecoder, StreamEncoder},
     symbols::Distribution,
 };
-use crate::domain::{
-    DenseLayer, Mlp, RenderNetworks,
-    anchors::{SceneShapeError, VIEW_INPUTS},
-};
+use crate::domain::{DenseLayer, Mlp, RenderNetworks, anchors::SceneShapeError};
 
 const PART: &str = "networks";
 
@@ -177,11 +174,11 @@ struct LayerHead {
     distributions: [Distribution; 3],
 }
 
-/// Reads the networks section of a file with `features` feature channels and `offsets` offsets per anchor.
+/// Reads the section of networks with so many `inputs` each, in a file with `offsets` offsets per anchor.
 /// Constant parameters take no bytes, so their number is checked against the caller's limit.
 pub(super) fn decode(
     section: &[u8],
-    features: usize,
+    inputs: usize,
     offsets: usize,
     max_memory_bytes: u64,
 ) -> Result<QuantizedNetworks> {
@@ -189,9 +186,9 @@ pub(super) fn decode(
     let mut reader = Reader::new(PART, section);
     let outputs = [offsets, 7 * offsets, 3 * offsets];
     let heads = [
-        read_heads(&mut reader, features + VIEW_INPUTS, outputs[0])?,
-        read_heads(&mut reader, features + VIEW_INPUTS, outputs[1])?,
-        read_heads(&mut reader, features + VIEW_INPUTS, outputs[2])?,
+        read_heads(&mut reader, inputs, outputs[0])?,
+        read_heads(&mut reader, inputs, outputs[1])?,
+        read_heads(&mut reader, inputs, outputs[2])?,
     ];
     let size = |head: &LayerHead| (head.inputs + 2) as u64 * head.outputs as u64;
     let memory = heads.iter().flatten().map(size).sum::<u64>() * PARAMETER_BYTES;
@@ -319,7 +316,7 @@ mod tests {
             for levels in [127, 1023] {
                 let quantized = quantized(&networks(value), levels);
                 let section = encode(&quantized);
-                assert_eq!(decode(&section, 2, 3, u64::MAX), Ok(quantized), "case {case}");
+                assert_eq!(decode(&section, 6, 3, u64::MAX), Ok(quantized), "case {case}");
             }
         }
     }
@@ -327,10 +324,10 @@ mod tests {
     #[test]
     fn shapes_that_do_not_fit_are_refused() {
         let section = encode(&quantized(&networks(|index| index as f32), 127));
-        assert!(decode(&section, 2, 4, u64::MAX).is_err());
-        assert!(decode(&[0], 2, 3, u64::MAX).is_err());
-        assert!(decode(&[1, 0x81, 0x08], 2, 3, u64::MAX).is_err(), "a layer 1025 wide");
-        assert!(matches!(decode(&section, 2, 3, 1000), Err(DecodeError::Limit { .. })));
+        assert!(decode(&section, 6, 4, u64::MAX).is_err());
+        assert!(decode(&[0], 6, 3, u64::MAX).is_err());
+        assert!(decode(&[1, 0x81, 0x08], 6, 3, u64::MAX).is_err(), "a layer 1025 wide");
+        assert!(matches!(decode(&section, 6, 3, 1000), Err(DecodeError::Limit { .. })));
         let empty = Mlp { layers: Vec::new() };
         let all = RenderNetworks { opacity: empty.clone(), covariance: empty.clone(), color: empty };
         assert!(matches!(check(&all), Err(EncodeError::Shape(_))));
@@ -378,7 +375,7 @@ mod tests {
     #[test]
     fn the_memory_limit_covers_integers_values_and_their_check() {
         let section = encode(&quantized(&networks(|index| index as f32), 127));
-        let Err(DecodeError::Limit { value, limit: 1, .. }) = decode(&section, 2, 3, 1) else {
+        let Err(DecodeError::Limit { value, limit: 1, .. }) = decode(&section, 6, 3, 1) else {
             panic!("must be refused")
         };
         // Weights and biases are held three times, scales of rows once.

@@ -3,8 +3,10 @@
 //! A network is run on a sample of the scene's own anchors before and after quantization; the difference is measured after the
 //! activations, as a difference in opacity, shape or color.
 
+use glam::Vec3;
+
 use super::networks::{self, QuantizedMlp};
-use crate::domain::{AnchorScene, DenseLayer, Mlp, anchors::VIEW_INPUTS};
+use crate::domain::{AnchorScene, DenseLayer, Mlp};
 
 /// Magnitudes of the weights' integers, coarsest first: 4, 6 and 8 bits, which a network may have been trained for,
 /// then up to 12.
@@ -61,6 +63,7 @@ fn difference(mlp: &Mlp, activation: Activation, inputs: &[Vec<f32>], exact: &[V
 /// from as far as the scene is large.
 pub(super) fn sample_inputs(scene: &AnchorScene) -> Vec<Vec<f32>> {
     let distance = half_diagonal(scene) / scene.scene_scale.length();
+    let view_degree = scene.view_degree().unwrap_or_default();
     let stride = scene.len().div_ceil(SAMPLE_ANCHORS).max(1);
     (0..scene.len())
         .step_by(stride)
@@ -69,9 +72,10 @@ pub(super) fn sample_inputs(scene: &AnchorScene) -> Vec<Vec<f32>> {
             let signs = [turn % 3, turn / 3 % 3, turn / 9 % 3].map(|digit| digit as f32 - 1.0);
             let length = signs.iter().map(|sign| sign * sign).sum::<f32>().sqrt().max(1.0);
             let mut input = scene.features[anchor * scene.feature_dim..][..scene.feature_dim].to_vec();
-            let view: [f32; VIEW_INPUTS] =
-                [signs[0] / length, signs[1] / length, signs[2] / length, distance];
-            input.extend(view);
+            let direction = signs.map(|sign| sign / length);
+            input.extend(direction);
+            input.push(distance);
+            input.extend(view_degree.harmonics(Vec3::from(direction).as_dvec3()).map(|value| value as f32));
             input
         })
         .collect()

@@ -24,12 +24,16 @@ pub(super) const ATTRIBUTES: SectionId = *b"ATTR";
 pub(super) const UNIT: SectionId = *b"UNIT";
 /// Frame of the scene, if it is not the world's.
 pub(super) const FRAME: SectionId = *b"FRAM";
+/// How the networks see the direction of view, if not as a unit vector alone.
+pub(super) const DIRECTIONS: SectionId = *b"DIRS";
 /// Near plane, if it is not the default.
 pub(super) const VIEW: SectionId = *b"VIEW";
 
 /// Every section that a decoder of this version understands.
-pub(super) const ALL: [SectionId; 11] =
-    [MANIFEST, NETWORKS, POSITIONS, MASKS, CONTEXT, PLANES, REGRESSION, ATTRIBUTES, UNIT, FRAME, VIEW];
+pub(super) const ALL: [SectionId; 12] = [
+    MANIFEST, NETWORKS, POSITIONS, MASKS, CONTEXT, PLANES, REGRESSION, ATTRIBUTES, UNIT, FRAME, DIRECTIONS,
+    VIEW,
+];
 
 /// Those that every file has.
 pub(super) const ALWAYS: [SectionId; 5] = [MANIFEST, NETWORKS, POSITIONS, MASKS, ATTRIBUTES];
@@ -47,6 +51,7 @@ pub(super) fn name(id: SectionId) -> &'static str {
         ATTRIBUTES => "attributes",
         UNIT => "unit",
         FRAME => "frame",
+        DIRECTIONS => "directions",
         VIEW => "view",
         _ => "unknown",
     }

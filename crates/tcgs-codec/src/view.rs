@@ -1,4 +1,5 @@
-//! The optional sections that rendering needs: frame, near plane and scene scale. A file without one has the default.
+//! The optional sections that rendering needs: frame, degree of the view direction, near plane and scene scale. A file without one has
+//! the default.
 
 use glam::DVec3;
 
@@ -7,11 +8,12 @@ use super::{
     container::Section,
     error::Result,
 };
-use crate::domain::{NearPlane, SceneFrame, SceneScale};
+use crate::domain::{NearPlane, SceneFrame, SceneScale, ViewDegree};
 
 const VIEW: &str = "view";
 const UNIT: &str = "unit";
 const FRAME: &str = "frame";
+const DIRECTIONS: &str = "directions";
 
 /// The section of the frame, if one is needed: offset and scale.
 pub(super) fn encode_frame(frame: SceneFrame) -> Option<Vec<u8>> {
@@ -28,6 +30,22 @@ pub(super) fn decode_frame(section: Option<Section<'_>>) -> Result<SceneFrame> {
     reader.end()?;
     let frame = SceneFrame::new(DVec3::new(x, y, z), scale);
     frame.ok_or_else(|| reader.malformed("frame", format!("{x} {y} {z} {scale}")))
+}
+
+/// The section of the degree of the view direction, if one is needed.
+pub(super) fn encode_view_degree(degree: Option<ViewDegree>) -> Option<Vec<u8>> {
+    degree.filter(|degree| !degree.is_default()).map(|degree| vec![degree.get()])
+}
+
+/// The value of that section, or the default without it.
+pub(super) fn decode_view_degree(section: Option<Section<'_>>) -> Result<ViewDegree> {
+    let Some(section) = section else { return Ok(ViewDegree::DEFAULT) };
+    let mut reader = Reader::new(DIRECTIONS, section.bytes);
+    let degree = reader.u8("degree")?;
+    reader.end()?;
+    // The default is stated by leaving the section out.
+    let stated = ViewDegree::new(degree).filter(|degree| !degree.is_default());
+    stated.ok_or_else(|| reader.malformed("degree", degree))
 }
 
 /// The section of the near plane, if one is needed.

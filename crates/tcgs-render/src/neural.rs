@@ -53,12 +53,13 @@ struct Kernels {
 impl Kernels {
     fn new(device: &Device, shape: ModelShape, subgroups: Option<u32>) -> Result<Self> {
         let defs = shape.defs();
-        let opaque: Vec<_> = defs.iter().copied().chain([("OPAQUE", 1)]).collect();
+        let of_view = [defs.as_slice(), &[("VIEW_DEGREE", u32::from(shape.view_degree.get()))]].concat();
+        let opaque = [of_view.as_slice(), &[("OPAQUE", 1)]].concat();
         let input = kernel_source!("network_input");
         Ok(Self {
             anchor_visible: device.kernel(kernel_source!("anchor_visible"), &defs)?,
             compaction: Compaction::new(device)?,
-            network_input: device.kernel(input, &defs)?,
+            network_input: device.kernel(input, &of_view)?,
             opaque_anchors: device.kernel(kernel_source!("opaque_anchors"), &defs)?,
             opaque_input: device.kernel(input, &opaque)?,
             visible_offsets: device.kernel(kernel_source!("visible_offsets"), &defs)?,

@@ -6,11 +6,7 @@
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-use super::{NearPlane, SceneFrame, SceneScale};
-
-/// Extra inputs that every render network gets beside the anchor feature: the unit view direction and the distance
-/// in the scene's [`SceneScale`].
-pub const VIEW_INPUTS: usize = 4;
+use super::{NearPlane, SceneFrame, SceneScale, ViewDegree};
 
 /// Values per anchor in `scalings`: three scale the offsets, three are the base size of its Gaussians.
 pub const SCALINGS_PER_ANCHOR: usize = 6;
@@ -54,7 +50,8 @@ pub struct Mlp {
 
 /// The networks that turn an anchor feature and a view into neural Gaussians (METHOD.md §2.2).
 ///
-/// Each takes `[feature, view direction (3), distance over the scene scale (1)]`; hidden width equals the feature width.
+/// Each takes `[feature, view direction (3), distance over the scene scale (1), harmonics of the direction]`, the last as the scene's
+/// [`ViewDegree`] says; hidden width equals the feature width.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct RenderNetworks {
     /// Outputs one opacity an offset, through tanh.
@@ -150,6 +147,13 @@ impl AnchorScene {
         }
     }
 
+    /// How the networks see the direction of view, by their number of inputs; `None` if no degree has so many.
+    #[must_use]
+    pub fn view_degree(&self) -> Option<ViewDegree> {
+        let first = self.networks.opacity.layers.first()?;
+        ViewDegree::of_inputs(first.inputs.checked_sub(self.feature_dim)?)
+    }
+
     /// Checks lengths, widths and finiteness.
     ///
     /// # Errors
@@ -180,8 +184,9 @@ impl AnchorScene {
             ("covariance", &self.networks.covariance, 7 * k),
             ("color", &self.networks.color, 3 * k),
         ];
+        let inputs = f + self.view_degree().unwrap_or_default().inputs();
         for (name, mlp, outputs) in networks {
-            mlp.check(f + VIEW_INPUTS, outputs)
+            mlp.check(inputs, outputs)
                 .map_err(|error| SceneShapeError(format!("{name} network: {error}")))?;
         }
         Ok(())

@@ -3,10 +3,10 @@
 //! Plain Gaussians hold what the field's `.ply` files hold, before activation; all arrays have the lengths that
 //! [`GaussianScene::check`] demands.
 
-use super::{AnchorScene, NearPlane, SceneFrame, anchors::SceneShapeError};
+use super::{AnchorScene, NearPlane, SceneFrame, anchors::SceneShapeError, harmonics};
 
 /// Spherical-harmonic coefficients a color channel, up to degree 3.
-pub const SH_COEFFICIENTS: usize = 16;
+pub const SH_COEFFICIENTS: usize = harmonics::FUNCTIONS;
 
 /// Plain Gaussians as 3D Gaussian splatting trains and stores them.
 #[derive(Debug, Clone, Default, PartialEq)]

@@ -4,7 +4,8 @@
 
 use glam::DVec3;
 
-use super::gaussians::SH_COEFFICIENTS;
+/// Functions of degrees 0 to 3.
+pub const FUNCTIONS: usize = 16;
 
 /// The constant function.
 pub const CONSTANT: f64 = 0.282_094_791_773_878_14;
@@ -23,7 +24,7 @@ pub fn degree_of(function: usize) -> u8 {
 
 /// The sixteen functions of degrees 0 to 3 at the unit vector `d`: one, three, five, seven.
 #[must_use]
-pub fn basis(d: DVec3) -> [f64; SH_COEFFICIENTS] {
+pub fn basis(d: DVec3) -> [f64; FUNCTIONS] {
     let DVec3 { x, y, z } = d;
     let (xx, yy, zz) = (x * x, y * y, z * z);
     [
@@ -58,7 +59,7 @@ mod tests {
             (0.339_981_043_584_856_3, 0.652_145_154_862_546_1),
         ];
         let steps = 8;
-        let mut gram = [[0.0; SH_COEFFICIENTS]; SH_COEFFICIENTS];
+        let mut gram = [[0.0; FUNCTIONS]; FUNCTIONS];
         for (height, weight) in nodes.into_iter().flat_map(|(z, w)| [(z, w), (-z, w)]) {
             let radius = f64::sqrt(1.0 - height * height);
             for step in 0..steps {

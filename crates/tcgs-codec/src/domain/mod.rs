@@ -36,6 +36,7 @@ pub mod scene_frame;
 pub mod scene_scale;
 pub mod series;
 pub mod view;
+mod view_degree;
 
 pub use anchors::{AnchorScene, DenseLayer, Lattice, Mlp, RenderNetworks};
 pub use camera::{Camera, CameraError, Convention, Intrinsics, Pose};
@@ -77,3 +78,4 @@ pub use scene_frame::SceneFrame;
 pub use scene_scale::SceneScale;
 pub use series::{SERIES_POINTS, SeriesPoint, series_bucket, with_cumulative_seconds};
 pub use view::{CameraView, View, ViewError, ViewRequest};
+pub use view_degree::ViewDegree;

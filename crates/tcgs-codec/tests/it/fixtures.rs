@@ -3,13 +3,13 @@
 
 use tcgs_codec::{
     ContextChoice, ContextSearch, ContextSettings, EncodeSettings, Encoded, GroupChoice, RegressionSearch,
-    domain::{AnchorScene, ContextKind, NearPlane, Planes, SceneScale},
+    domain::{AnchorScene, ContextKind, NearPlane, Planes, SceneScale, ViewDegree},
     encode,
 };
 
 use super::{
     dependent::{KINDS, dependent},
-    synthetic::{Recipe, related, scene, settings, tiny},
+    synthetic::{Normal, Recipe, networks, related, scene, settings, tiny},
     wire,
 };
 
@@ -17,13 +17,14 @@ use super::{
 type Maker = fn() -> Encoded;
 
 /// Name and maker of every golden file but the trained one.
-pub(super) const GOLDENS: [(&str, Maker); 6] = [
+pub(super) const GOLDENS: [(&str, Maker); 7] = [
     ("shell_v1.tcgs", shell),
     ("context_v1.tcgs", context),
     ("direct_v1.tcgs", direct),
     ("unit_v1.tcgs", scene_scale),
     ("regression_v1.tcgs", regression),
     ("regressions_v1.tcgs", regressions),
+    ("harmonics_v1.tcgs", harmonics),
 ];
 
 /// That of the file that has one, in world units.
@@ -93,6 +94,15 @@ fn regressions() -> Encoded {
     let mut settings = fixed([Some(ContextKind::Position); 3], None);
     settings.context.regression = RegressionSearch::WhereItPays;
     encode(&related(recipe), Some(&candidates), &settings).expect("encodes")
+}
+
+/// Networks that get harmonics of the view direction, of degrees 2 and 3.
+fn harmonics() -> Encoded {
+    let (feature_dim, offsets) = (4, 2);
+    let mut scene = scene(Recipe { seed: 2030, anchors: 40, feature_dim, offsets, masked: 0.3 });
+    let inputs = feature_dim + ViewDegree::ALL[2].inputs();
+    scene.networks = networks(&mut Normal::new(2032), [inputs, feature_dim, offsets]);
+    encode(&scene, None, &settings()).expect("encodes")
 }
 
 /// Three anchors with every section and every kind of context.

@@ -36,7 +36,7 @@ const TRAINED: Golden = Golden {
     anchors: 927,
 };
 
-const FILES: [Golden; 6] = [
+const FILES: [Golden; 7] = [
     Golden {
         name: "shell_v1.tcgs",
         sha256: "898ee621f1ab501991af5c1fdc22b2f5e918a8234ff9d54655c18924fab195f0",
@@ -72,6 +72,12 @@ const FILES: [Golden; 6] = [
         sha256: "20e4970ba3a8a1d33f84bcd4668ed9b6fe5fc43d84b0fdffafc75634c6102fe3",
         decode_sha256: "8443018f1570e8656550f4038f0b9ff4782263164aa330ae70e955c566edaf2d",
         anchors: 150,
+    },
+    Golden {
+        name: "harmonics_v1.tcgs",
+        sha256: "fc685ec90e65535f6ec5108ff7623a26ed181569e00cd75cc41be7d4cb8e40b4",
+        decode_sha256: "b002a88f377946039fc21e72048a6b5ec481f161b810022d7e235dba4483521a",
+        anchors: 40,
     },
 ];
 
@@ -145,6 +151,7 @@ fn the_golden_files_have_every_section_and_every_context() {
         "regression",
         "attributes",
         "unit",
+        "directions",
         "view",
     ];
     assert_eq!(sections, all.map(str::to_owned).into());

@@ -8,8 +8,7 @@ use tcgs_codec::{
     ContextSettings, EncodeSettings, Provenance,
     domain::{
         AnchorScene, Background, DenseLayer, Digest, Lattice, Mlp, NearPlane, RenderNetworks, SceneFrame,
-        SceneScale,
-        anchors::{SCALINGS_PER_ANCHOR, VIEW_INPUTS},
+        SceneScale, ViewDegree, anchors::SCALINGS_PER_ANCHOR,
     },
 };
 
@@ -72,7 +71,7 @@ pub(super) fn scene(recipe: Recipe) -> AnchorScene {
         scalings,
         offsets: offset_values,
         masks,
-        networks: networks(&mut normal, feature_dim, offsets),
+        networks: networks(&mut normal, [feature_dim + ViewDegree::DEFAULT.inputs(), feature_dim, offsets]),
         near: NearPlane::default(),
         scene_scale: SceneScale::default(),
         frame: SceneFrame::WORLD,
@@ -96,7 +95,8 @@ fn shell(normal: &mut Normal, count: usize) -> Vec<[i32; 3]> {
     cells
 }
 
-fn networks(normal: &mut Normal, feature_dim: usize, offsets: usize) -> RenderNetworks {
+/// Networks with these numbers of inputs, hidden values and offsets per anchor.
+pub(super) fn networks(normal: &mut Normal, [inputs, hidden, offsets]: [usize; 3]) -> RenderNetworks {
     let mut layer = |inputs: usize, outputs: usize| DenseLayer {
         inputs,
         outputs,
@@ -105,9 +105,7 @@ fn networks(normal: &mut Normal, feature_dim: usize, offsets: usize) -> RenderNe
             .collect(),
         bias: (0..outputs).map(|_| (0.1 * normal.draw()) as f32).collect(),
     };
-    let mut mlp = |outputs| Mlp {
-        layers: vec![layer(feature_dim + VIEW_INPUTS, feature_dim), layer(feature_dim, outputs)],
-    };
+    let mut mlp = |outputs| Mlp { layers: vec![layer(inputs, hidden), layer(hidden, outputs)] };
     RenderNetworks { opacity: mlp(offsets), covariance: mlp(7 * offsets), color: mlp(3 * offsets) }
 }
 

@@ -2,12 +2,12 @@
 
 use tcgs_codec::{
     DecodeError, DecodeLimits, decode,
-    domain::{AnchorScene, NearPlane, SceneFrame, SceneScale},
+    domain::{AnchorScene, NearPlane, SceneFrame, SceneScale, ViewDegree},
     encode, inspect,
 };
 
 use super::{
-    synthetic::{settings, small},
+    synthetic::{Normal, networks, settings, small},
     wire,
 };
 
@@ -158,6 +158,46 @@ fn a_frame_that_is_not_the_worlds_takes_a_critical_section_of_four_doubles_and_v
         parts.last_mut().expect("sections").2 = content;
         let error = error_of(&wire::file((1, 2), &parts));
         assert!(error.to_string().contains("frame"), "{error}");
+    }
+}
+
+#[test]
+fn harmonics_of_the_view_direction_take_a_critical_section_of_a_byte_and_version_1_3() {
+    let scene = small();
+    let usual = decode(&small_file(), &DecodeLimits::default()).expect("decodes").scene;
+    assert_eq!(usual.view_degree(), Some(ViewDegree::DEFAULT));
+    for degree in [2, 3] {
+        let view_degree = ViewDegree::new(degree).expect("a degree");
+        let hidden = scene.networks.opacity.layers[0].outputs;
+        let widths = [scene.feature_dim + view_degree.inputs(), hidden, scene.offsets_per_anchor];
+        let networks = networks(&mut Normal::new(1), widths);
+        let seeing = AnchorScene { networks, ..scene.clone() };
+        let bytes = encode(&seeing, None, &settings()).expect("encodes").bytes;
+        let decoded = decode(&bytes, &DecodeLimits::default()).expect("decodes");
+        assert_eq!(decoded.scene.view_degree(), Some(view_degree));
+        let parts = wire::parts(&bytes);
+        assert_eq!(parts.last(), Some(&(*b"DIRS", 1, vec![degree])));
+        assert_eq!(wire::file((1, 3), &parts), bytes);
+        let inspection = inspect(&bytes).expect("inspects");
+        assert_eq!((inspection.view_degree, inspection.version.as_str()), (degree, "1.3"));
+        assert_eq!(inspection.byte_counts.total, bytes.len() as u64);
+
+        // The near plane comes last as it always did.
+        let near = NearPlane::of_extent(0.01);
+        let both = encode(&AnchorScene { near, ..seeing }, None, &settings()).expect("encodes").bytes;
+        let ids: Vec<[u8; 4]> = wire::parts(&both)[5..].iter().map(|part| part.0).collect();
+        assert_eq!(ids, [*b"DIRS", *b"VIEW"]);
+
+        for content in [vec![0], vec![1], vec![4], Vec::new(), vec![degree, 0]] {
+            let mut parts = parts.clone();
+            parts.last_mut().expect("sections").2 = content.clone();
+            let error = error_of(&wire::file((1, 3), &parts)).to_string();
+            assert!(error.contains("directions"), "{content:?}: {error}");
+        }
+        // Another degree has networks of another width.
+        let mut other = parts.clone();
+        other.last_mut().expect("sections").2 = vec![5 - degree];
+        assert!(decode(&wire::file((1, 3), &other), &DecodeLimits::default()).is_err());
     }
 }
 

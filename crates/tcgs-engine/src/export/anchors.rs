@@ -8,8 +8,8 @@
 //! is `cells * voxel + origin`: cells take the four bytes a coordinate that floats would, and keep the lattice. The
 //! metadata key `tcgs` holds a JSON object with `version`, `background`, `dataset` if it is known, `near` where views do not
 //! begin at the usual depth, and `unit` if the networks' distances are not in the frame's unit; `version` is 2 then. If coordinates
-//! are not the world's there is `frame`, with `offset` and `scale` (world = offset + scale * coordinate); `version` is 3 then.
-//! Everywhere else it is 1.
+//! are not the world's there is `frame`, with `offset` and `scale` (world = offset + scale * coordinate); `version` is 3 then. If the
+//! networks have more than four inputs beside the feature (harmonics of the view direction), `version` is 4. Everywhere else it is 1.
 
 use std::collections::HashMap;
 
@@ -19,7 +19,7 @@ use thiserror::Error;
 
 use crate::domain::{
     AnchorScene, Background, ByteCounts, DenseLayer, Digest, Lattice, Mlp, NearPlane, RenderNetworks,
-    SceneFrame, SceneScale,
+    SceneFrame, SceneScale, ViewDegree,
 };
 
 /// Version of this layout of tensors.
@@ -30,6 +30,9 @@ const VERSION_WITH_UNIT: u32 = 2;
 
 /// Version of files that state a frame, likewise.
 const VERSION_WITH_FRAME: u32 = 3;
+
+/// Version of files whose networks get harmonics of the view direction, likewise.
+const VERSION_WITH_HARMONICS: u32 = 4;
 
 /// Most layers that a file may claim; more than any network of this program has.
 const MAX_LAYERS: usize = 16;
@@ -122,10 +125,12 @@ pub fn write(
         .collect::<Result<Vec<_>, safetensors::SafeTensorError>>()
         .map_err(|error| AnchorFileError::Scene(error.to_string()))?;
     // One key: several would be written in the random order of a hash map.
-    let version = match (scene.frame.is_world(), scene.scene_scale.is_default()) {
-        (false, _) => VERSION_WITH_FRAME,
-        (true, false) => VERSION_WITH_UNIT,
-        (true, true) => VERSION,
+    let sees_direction_alone = scene.view_degree().is_none_or(ViewDegree::is_default);
+    let version = match (sees_direction_alone, scene.frame.is_world(), scene.scene_scale.is_default()) {
+        (false, ..) => VERSION_WITH_HARMONICS,
+        (true, false, _) => VERSION_WITH_FRAME,
+        (true, true, false) => VERSION_WITH_UNIT,
+        (true, true, true) => VERSION,
     };
     let AnchorScene { near, scene_scale, frame, .. } = *scene;
     let metadata =
@@ -175,8 +180,8 @@ pub fn read(bytes: &[u8]) -> Result<AnchorFile, AnchorFileError> {
         .ok_or_else(|| AnchorFileError::Metadata("is missing".to_owned()))?;
     let metadata: Metadata = serde_json::from_str(text)
         .map_err(|error| AnchorFileError::Metadata(format!("cannot be read ({error})")))?;
-    if !(VERSION..=VERSION_WITH_FRAME).contains(&metadata.version) {
-        let known = format!("{VERSION} to {VERSION_WITH_FRAME}");
+    if !(VERSION..=VERSION_WITH_HARMONICS).contains(&metadata.version) {
+        let known = format!("{VERSION} to {VERSION_WITH_HARMONICS}");
         return Err(AnchorFileError::Metadata(format!("has version {}, not {known}", metadata.version)));
     }
 
@@ -389,8 +394,26 @@ mod tests {
         }
         let mut later = bytes.clone();
         assert_eq!(later[key("version")], b'2');
-        later[key("version")] = b'4';
-        assert!(read(&later).expect_err("refused").to_string().contains("has version 4, not 1 to 3"));
+        later[key("version")] = b'5';
+        assert!(read(&later).expect_err("refused").to_string().contains("has version 5, not 1 to 4"));
+    }
+
+    #[test]
+    fn harmonics_of_the_view_direction_make_a_file_that_programs_without_them_refuse() {
+        for view_degree in [2, 3].map(|degree| ViewDegree::new(degree).expect("a degree")) {
+            let mut scene = scene();
+            let inputs = scene.feature_dim + view_degree.inputs();
+            let RenderNetworks { opacity, covariance, color } = &mut scene.networks;
+            for DenseLayer { inputs: of_layer, outputs, weights, .. } in
+                [opacity, covariance, color].map(|mlp| &mut mlp.layers[0])
+            {
+                (*of_layer, *weights) = (inputs, (0..inputs * *outputs).map(|index| index as f32).collect());
+            }
+            let bytes = write(&scene, Background::White, None).expect("writes");
+            assert_eq!(read(&bytes).expect("reads").scene, scene);
+            let stated = r#"\"version\":4"#;
+            assert!(bytes.windows(stated.len()).any(|window| window == stated.as_bytes()));
+        }
     }
 
     #[test]

@@ -273,7 +273,7 @@ mod tests {
     use rand_pcg::Pcg64;
 
     use super::*;
-    use crate::{init::first_anchors::tests::outputs, model::NetworkLayout};
+    use crate::{domain::ViewDegree, init::first_anchors::tests::outputs, model::NetworkLayout};
 
     const SHAPE: ModelShape = ModelShape::new(16, 4);
 
@@ -374,6 +374,32 @@ mod tests {
         let shares = [side, other].map(|side| cut_off(&rectifying, side));
         assert!(shares.iter().all(|share| (0.1..0.25).contains(share)), "{shares:?}");
         assert_ne!(shares[0], shares[1], "others from another side");
+    }
+
+    #[test]
+    fn harmonics_begin_a_tenth_as_strong_and_the_distance_unseen() {
+        let shape = ModelShape { view_degree: ViewDegree::ALL[2], ..SHAPE };
+        let rule = |means: &[[f32; 3]]| VoxelRule::OfSpacing(1.0 / 16.0).for_points(means, 1.0);
+        let (units, mut rng) = (PassingUnits::RECTIFYING, Pcg64::seed_from_u64(1));
+        let first =
+            anchors_from_gaussians(&sphere(600), rule, 24, shape, 1000, units, &mut rng).expect("anchors");
+        let hidden = NetworkLayout::new(shape).hidden;
+        let largest = |inputs: std::ops::Range<usize>, unit: usize| {
+            let weights =
+                inputs.map(|input| first.networks[hidden.weights + input * hidden.outputs + unit].abs());
+            weights.fold(0.0, f32::max)
+        };
+        let usual = 1.0 / (hidden.inputs as f32).sqrt();
+        let f = shape.features;
+        for unit in 0..f * 3 / 4 {
+            assert_eq!(largest(f + 3..f + 4, unit), 0.0, "the distance");
+            assert!(
+                (0.01 * usual..=0.1 * usual).contains(&largest(f + 4..hidden.inputs, unit)),
+                "unit {unit}"
+            );
+        }
+        let of_direction = (0..f * 3 / 4).map(|unit| largest(f..f + 3, unit)).fold(0.0, f32::max);
+        assert!(of_direction > 0.5 * usual);
     }
 
     #[test]

@@ -6,7 +6,6 @@
 use rand::Rng;
 
 use super::principal::{Components, principal_components};
-use crate::domain::anchors::VIEW_INPUTS;
 use crate::model::{AnchorRows, LayerSpec, ModelShape, NetworkLayout};
 
 /// Target outputs of a slot, before their activations: opacity, three sizes, quaternion (w, x, y, z), color.
@@ -19,6 +18,9 @@ const WEIGHTS: [f64; SLOT] = [3.0, 0.5, 0.5, 0.5, 0.5, 0.5, 0.5, 0.5, 1.0, 1.0, 
 const PASSED: f64 = 0.75;
 /// Components with a smaller standard deviation are left to random units.
 const MIN_DEVIATION: f64 = 1e-3;
+
+/// Factor of their random weights from harmonics of the view direction: small, so that the first scene does not depend on these.
+const OF_HARMONICS: f32 = 0.1;
 
 /// How the hidden units begin that pass a component on. Each is a rectifier whose bias lifts its component above zero.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -149,12 +151,13 @@ impl TargetComponents {
         for unit in 0..self.deviations.len() {
             for input in 0..hidden.inputs {
                 let weight = &mut networks[hidden.weights + input * hidden.outputs + first + unit];
-                *weight = match input {
-                    _ if input == unit => 1.0,
-                    _ if input < self.features => 0.0,
-                    _ if input + 1 < self.features + VIEW_INPUTS => units.of_view * *weight,
+                *weight = match input.checked_sub(self.features) {
+                    None if input == unit => 1.0,
+                    None => 0.0,
+                    Some(0..3) => units.of_view * *weight,
                     // The distance.
-                    _ => 0.0,
+                    Some(3) => 0.0,
+                    Some(_) => OF_HARMONICS * *weight,
                 };
             }
             networks[hidden.bias + first + unit] = self.bias(unit, units) as f32;

@@ -23,7 +23,7 @@ pub(super) struct ChannelPruning {
 impl ChannelPruning {
     /// The shape after.
     pub(super) fn shape(&self) -> ModelShape {
-        ModelShape { features: self.basis.channels, hidden: self.from.hidden, offsets: self.slots.len() }
+        ModelShape { features: self.basis.channels, offsets: self.slots.len(), ..self.from }
     }
 
     /// The values of the kept slots, of `width` values each, of rows that have one group a slot.
@@ -153,7 +153,7 @@ mod tests {
         train::feature_basis::{FeatureMoments, add_products},
     };
 
-    const FROM: ModelShape = ModelShape { features: 6, hidden: 6, offsets: 4 };
+    const FROM: ModelShape = ModelShape::new(6, 4);
 
     fn random(rng: &mut Pcg64, len: usize) -> Vec<f32> {
         (0..len).map(|_| rng.random_range(-1.0..1.0)).collect()
@@ -226,7 +226,7 @@ mod tests {
         assert!(after.first.chunks_exact(12 + 6).all(|row| row[..6] == [0.0; 6]), "no momentum");
         assert_eq!(after.first[6..12], state.first[6..12]);
         let shape = pruning.shape();
-        assert_eq!((shape, after.anchors.shape), (ModelShape { features: 6, hidden: 6, offsets: 2 }, shape));
+        assert_eq!((shape, after.anchors.shape), (ModelShape::new(6, 2), shape));
         for anchor in 0..40 {
             let (before, after) = (state.anchors.row(anchor), after.anchors.row(anchor));
             assert_eq!(before[6..12], after[6..12], "scalings");

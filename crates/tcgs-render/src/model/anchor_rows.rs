@@ -1,6 +1,6 @@
 //! Anchors as the device holds them: one row of parameters per anchor.
 
-use crate::domain::{AnchorScene, Lattice, NearPlane, RenderNetworks, SceneFrame, SceneScale};
+use crate::domain::{AnchorScene, Lattice, NearPlane, RenderNetworks, SceneFrame, SceneScale, ViewDegree};
 
 /// Widths of the model.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -11,20 +11,23 @@ pub struct ModelShape {
     pub hidden: usize,
     /// Offsets K an anchor, at most 32.
     pub offsets: usize,
+    /// How networks see the direction of view.
+    pub view_degree: ViewDegree,
 }
 
 impl ModelShape {
-    /// Networks as wide as the feature (METHOD.md §2.2).
+    /// Networks as wide as the feature (METHOD.md §2.2), which see the direction alone.
     #[must_use]
     pub const fn new(features: usize, offsets: usize) -> Self {
-        Self { features, hidden: features, offsets }
+        Self { features, hidden: features, offsets, view_degree: ViewDegree::DEFAULT }
     }
 
     /// The widths of a finished scene.
     #[must_use]
     pub fn of(scene: &AnchorScene) -> Self {
         let hidden = scene.networks.opacity.layers.first().map_or(scene.feature_dim, |layer| layer.outputs);
-        Self { features: scene.feature_dim, hidden, offsets: scene.offsets_per_anchor }
+        let view_degree = scene.view_degree().unwrap_or_default();
+        Self { features: scene.feature_dim, hidden, offsets: scene.offsets_per_anchor, view_degree }
     }
 
     /// Most offsets per anchor: a mask is one word.
@@ -35,7 +38,7 @@ impl ModelShape {
     /// # Errors
     /// Which width is out of range.
     pub fn check(&self) -> Result<(), String> {
-        let Self { features, hidden, offsets } = *self;
+        let Self { features, hidden, offsets, .. } = *self;
         if features == 0 {
             return Err("a feature has no channels".to_owned());
         }

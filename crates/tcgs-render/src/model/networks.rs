@@ -7,7 +7,7 @@
 use rand::{Rng, RngExt};
 
 use super::ModelShape;
-use crate::domain::{DenseLayer, Mlp, RenderNetworks, anchors::VIEW_INPUTS};
+use crate::domain::{DenseLayer, Mlp, RenderNetworks};
 
 /// One dense layer in the flat array.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -69,7 +69,7 @@ impl NetworkLayout {
             next = bias + outputs;
             LayerSpec { inputs, outputs, weights, bias, input_row, output_row }
         };
-        let hidden = layer(shape.features + VIEW_INPUTS, 3 * width, 0, 0);
+        let hidden = layer(shape.features + shape.view_degree.inputs(), 3 * width, 0, 0);
         let k = shape.offsets;
         let heads =
             [layer(width, k, 0, 0), layer(width, 7 * k, width, k), layer(width, 3 * k, 2 * width, 8 * k)];

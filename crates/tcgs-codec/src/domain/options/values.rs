@@ -72,6 +72,8 @@ named_choice! {
         Masks = "masks",
         /// The decorrelating transform of features, and the removal of channels and offset slots that no picture needs.
         Basis = "basis",
+        /// Spherical harmonics of the view direction among the networks' inputs, a part of runs of 500 steps and more.
+        Harmonics = "harmonics",
         /// The regression of an anchor's attributes on each other in the file.
         Regression = "regression",
     }

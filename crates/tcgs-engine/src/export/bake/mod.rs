@@ -221,15 +221,17 @@ impl AnchorSampler<'_> {
     /// The views that may show one of the Gaussians at `means`, and the networks' inputs for them.
     fn views<'m>(&self, means: impl Iterator<Item = &'m DVec3> + Clone) -> (Vec<usize>, ViewInputs) {
         let (position, radius) = (self.position(), self.radius());
-        let (mut from, mut inputs) = (Vec::new(), ViewInputs::default());
+        let view_degree = self.scene.view_degree().unwrap_or_default();
+        let (mut from, mut inputs) = (Vec::new(), ViewInputs::new(view_degree));
         for (view, bake_view) in self.bake_views.iter().enumerate() {
             if means.clone().any(|mean| bake_view.sees(*mean, radius, self.near())) {
                 let ray = position - bake_view.center;
                 let distance = ray.length().max(1e-12);
                 let direction = ray / distance;
                 let scaled_distance = distance / f64::from(self.scene.scene_scale.length());
-                inputs
-                    .push([direction.x, direction.y, direction.z, scaled_distance].map(|value| value as f32));
+                let of_view = [direction.x, direction.y, direction.z, scaled_distance];
+                let of_view = of_view.into_iter().chain(view_degree.harmonics(direction));
+                inputs.push(of_view.map(|value| value as f32));
                 from.push(view);
             }
         }

@@ -3,16 +3,21 @@
 //! A column is a view. The first layer's product with the feature is the same in all columns and computed once; rows of the last layer are
 //! computed on request, since most offsets of an anchor make no Gaussian.
 
-use crate::domain::{DenseLayer, Mlp, anchors::VIEW_INPUTS};
+use crate::domain::{DenseLayer, Mlp, ViewDegree};
 
-/// Inputs of the networks besides the feature: unit direction and distance in the scene's unit, `[VIEW_INPUTS][views]`.
-#[derive(Debug, Clone, Default)]
+/// Inputs of the networks besides the feature, `[inputs][views]`: unit direction, distance in the scene's unit, harmonics.
+#[derive(Debug, Clone)]
 pub(super) struct ViewInputs {
-    rows: [Vec<f32>; VIEW_INPUTS],
+    rows: Vec<Vec<f32>>,
 }
 
 impl ViewInputs {
-    pub(super) fn push(&mut self, values: [f32; VIEW_INPUTS]) {
+    /// Of no view.
+    pub(super) fn new(view_degree: ViewDegree) -> Self {
+        Self { rows: vec![Vec::new(); view_degree.inputs()] }
+    }
+
+    pub(super) fn push(&mut self, values: impl Iterator<Item = f32>) {
         self.rows.iter_mut().zip(values).for_each(|(row, value)| row.push(value));
     }
 
@@ -100,11 +105,11 @@ mod tests {
                 .collect();
             let mlp = Mlp { layers };
             let feature: Vec<f32> = (0..5).map(|_| rng.random_range(-1.0..1.0)).collect();
-            let mut views = ViewInputs::default();
+            let mut views = ViewInputs::new(ViewDegree::DEFAULT);
             let mut inputs = Vec::new();
             for _ in 0..7 {
-                let view = [(); VIEW_INPUTS].map(|()| rng.random_range(-1.0..1.0));
-                views.push(view);
+                let view = [(); 4].map(|()| rng.random_range(-1.0..1.0));
+                views.push(view.into_iter());
                 inputs.push([feature.as_slice(), &view].concat());
             }
             let evaluated = Evaluated::new(&mlp, &feature, &views);
@@ -133,6 +138,6 @@ mod tests {
         let layer =
             |inputs| DenseLayer { inputs, outputs: 2, weights: vec![1.0; inputs * 2], bias: vec![0.0; 2] };
         let mlp = Mlp { layers: vec![layer(5), layer(2)] };
-        assert!(Evaluated::new(&mlp, &[1.0], &ViewInputs::default()).row(1).is_empty());
+        assert!(Evaluated::new(&mlp, &[1.0], &ViewInputs::new(ViewDegree::DEFAULT)).row(1).is_empty());
     }
 }

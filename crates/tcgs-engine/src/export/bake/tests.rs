@@ -2,15 +2,14 @@
 
 use super::*;
 use crate::domain::{
-    DenseLayer, Intrinsics, Lattice, Mlp, NearPlane, Pose, RenderNetworks, SceneFrame, SceneScale,
-    anchors::VIEW_INPUTS,
+    DenseLayer, Intrinsics, Lattice, Mlp, NearPlane, Pose, RenderNetworks, SceneFrame, SceneScale, ViewDegree,
 };
 
 const FEATURES: usize = 2;
 
 /// A network of one layer: outputs that do not depend on the view but where `slopes` says so (output, view input, slope).
 fn network(bias: &[f32], slopes: &[(usize, usize, f32)]) -> Mlp {
-    let inputs = FEATURES + VIEW_INPUTS;
+    let inputs = FEATURES + 4;
     let mut weights = vec![0.0; inputs * bias.len()];
     for (output, input, slope) in slopes {
         weights[output * inputs + FEATURES + input] = *slope;
@@ -177,6 +176,36 @@ fn the_networks_are_told_distances_in_the_scenes_unit() {
     assert!(differ(&scaled) > 0.1, "scaled_distance in the world's unit, it is another scene");
     scaled.scene_scale = SceneScale::new(4.0).expect("a length");
     assert!(differ(&scaled) < 1e-4, "{}", differ(&scaled));
+}
+
+#[test]
+fn harmonics_of_the_direction_become_colors_of_their_degree() {
+    let view_degree = ViewDegree::ALL[2];
+    let inputs = FEATURES + view_degree.inputs();
+    let mut scene = scene();
+    // The green of the first offset is a lobe of degree 2, the blue one of degree 3.
+    let lobes = [(1, 4, 0.2), (2, 14, -0.3)];
+    let RenderNetworks { opacity, covariance, color } = &mut scene.networks;
+    for layer in [opacity, covariance, color].into_iter().flat_map(|mlp| &mut mlp.layers) {
+        let rows = layer.weights.chunks(layer.inputs);
+        layer.weights = rows.flat_map(|row| row.iter().copied().chain([0.0; 12])).collect();
+        layer.inputs = inputs;
+    }
+    for (output, input, weight) in lobes {
+        scene.networks.color.layers[0].weights[output * inputs + FEATURES + input] = weight;
+    }
+    let baked = bake(&scene, &cameras(), BakeSettings::default()).expect("bakes").scene;
+    let size = |function: usize| {
+        let degree = f64::from(harmonics::degree_of(function));
+        (4.0 * std::f64::consts::PI / (2.0 * degree + 1.0)).sqrt()
+    };
+    // Biases are 1 and -1, where the logistic is this steep.
+    let slope = logistic(1.0) * logistic(-1.0);
+    for (channel, function, weight) in [(1, 4, 0.2), (2, 14, -0.3)] {
+        let found = f64::from(baked.sh[0][function][channel]);
+        let expected = slope * weight * size(function);
+        assert!((found - expected).abs() < 0.05 * expected.abs(), "{function}: {found} {expected}");
+    }
 }
 
 #[test]

@@ -27,9 +27,10 @@ fn shape_of(state: &mut ModelState, of_schedule: ModelShape) -> Result<ModelShap
         return Ok(of_schedule);
     }
     let widths = state.take_exactly::<u32>("shape", 3)?;
+    let [stated_features, stated_hidden, stated_offsets] = [0, 1, 2].map(|index| widths[index] as usize);
+    let ModelShape { features, hidden, offsets, view_degree } = of_schedule;
     let shape =
-        ModelShape { features: widths[0] as usize, hidden: widths[1] as usize, offsets: widths[2] as usize };
-    let ModelShape { features, hidden, offsets } = of_schedule;
+        ModelShape { features: stated_features, hidden: stated_hidden, offsets: stated_offsets, view_degree };
     // Larger widths would allocate more than the memory estimate.
     if shape.check().is_err() || shape.features > features || shape.hidden > hidden || shape.offsets > offsets
     {
@@ -108,7 +109,7 @@ impl AnchorTrainer {
         let mut state = ModelState::default();
         state.put("lattice", vec![voxel, x, y, z]);
         if self.shape != self.schedule.shape {
-            let ModelShape { features, hidden, offsets } = self.shape;
+            let ModelShape { features, hidden, offsets, .. } = self.shape;
             state.put("shape", [features, hidden, offsets].map(|width| width as u32).to_vec());
         }
         state.put("anchors.cells", anchors.cells.into_flattened());

@@ -22,7 +22,7 @@ use self::{
 };
 use super::RateControl;
 use crate::{
-    domain::{Component, ModelKind, Preset, SceneFrame, TrainOptions, Voxel},
+    domain::{Component, ModelKind, Preset, SceneFrame, TrainOptions, ViewDegree, Voxel},
     init::{PassingUnits, VoxelRule},
     model::ModelShape,
 };
@@ -30,6 +30,10 @@ use crate::{
 /// Steps from which on anchors that were Gaussians begin with [`PassingUnits::RECTIFYING`]: shorter runs do not make up for what it
 /// costs at first.
 const RECTIFYING_FROM: u32 = 500;
+
+/// How networks see the direction of view in runs of at least [`HARMONICS_FROM`] steps: shorter ones do not learn that much.
+const VIEW_DEGREE: ViewDegree = ViewDegree::ALL[2];
+const HARMONICS_FROM: u32 = 500;
 
 /// The coarsest growth cell in lattice cells, as published: growth has three levels, each a quarter of the one before.
 const COARSEST_GROWTH: u16 = 16;
@@ -125,6 +129,9 @@ impl Schedule {
         };
         let steps = options.iterations.unwrap_or(default_steps);
         let part = |fraction: f64| (f64::from(steps) * fraction).round() as u32;
+        let sees_harmonics =
+            options.has(Component::Harmonics) && options.preset != Preset::Paper && steps >= HARMONICS_FROM;
+        let view_degree = if sees_harmonics { VIEW_DEGREE } else { ViewDegree::DEFAULT };
         let prunes_channels = options.has(Component::Basis) && options.preset != Preset::Paper;
         let rate = |published: Decay| anchor_learning_rate(published, steps);
         let compression = CompressionSchedule::new(options, steps);
@@ -137,7 +144,7 @@ impl Schedule {
         Self {
             model: options.model,
             steps,
-            shape,
+            shape: ModelShape { view_degree, ..shape },
             begins_colored: options.preset != Preset::Paper,
             voxel: match options.voxel {
                 Voxel::Auto => VoxelRule::OfSpacing(f32::from(coarsest_growth).recip()),
@@ -353,6 +360,21 @@ mod tests {
             TrainOptions { model: ModelKind::Gaussians3d, ..TrainOptions::default() },
         ] {
             assert_eq!(Schedule::new(&options).for_points(true), Schedule::new(&options));
+        }
+    }
+
+    #[test]
+    fn networks_of_tcgs_see_harmonics_but_not_in_short_runs_nor_as_published() {
+        let degree = |options: TrainOptions| Schedule::new(&options).shape.view_degree.get();
+        let usual = |steps: u32| TrainOptions { iterations: Some(steps), ..TrainOptions::default() };
+        assert_eq!([1, 499, 500, 2_000].map(|steps| degree(usual(steps))), [1, 1, 3, 3]);
+        assert_eq!(degree(TrainOptions { preset: Preset::Standard, ..TrainOptions::default() }), 3);
+        for options in [
+            TrainOptions { preset: Preset::Paper, ..TrainOptions::default() },
+            TrainOptions { model: ModelKind::Scaffold, ..TrainOptions::default() },
+            TrainOptions { without: [Component::Harmonics].into(), ..TrainOptions::default() },
+        ] {
+            assert_eq!(degree(options), 1);
         }
     }
 

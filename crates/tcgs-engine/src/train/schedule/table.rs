@@ -50,6 +50,9 @@ type Row<'a> = dyn FnMut(&str, &dyn Fn(&Schedule) -> String) + 'a;
 fn anchors(row: &mut Row<'_>) {
     row("**anchors** (`tcgs`, `scaffold`)", &|_| String::new());
     row("feature width, offsets per anchor", &|c| format!("{}, {}", c.shape.features, c.shape.offsets));
+    row("networks see harmonics of the direction to degree (`scaffold`: 1)", &|c| {
+        c.shape.view_degree.get().to_string()
+    });
     row("features and networks begin with", &|c| match c.begins_colored {
         true => "the points' colors".to_owned(),
         false => "0, and random".to_owned(),

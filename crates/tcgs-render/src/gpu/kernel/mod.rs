@@ -39,6 +39,7 @@ const SHARED: &[(&str, &str)] = &[
     ("splat", include_str!("../../../shaders/shared/splat.wgsl")),
     ("finite", include_str!("../../../shaders/shared/finite.wgsl")),
     ("geometry", include_str!("../../../shaders/shared/geometry.wgsl")),
+    ("harmonics", include_str!("../../../shaders/shared/harmonics.wgsl")),
     ("anchor_view", include_str!("../../../shaders/shared/anchor_view.wgsl")),
     ("model", include_str!("../../../shaders/shared/model.wgsl")),
     ("plain", include_str!("../../../shaders/shared/plain.wgsl")),

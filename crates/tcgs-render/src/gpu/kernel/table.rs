@@ -65,7 +65,15 @@ const MASKED_DEGREE: Definitions = sets(&[&[("DEGREE", 0)], &[("DEGREE", 0), ("M
 const RUN: Definitions = sets(&[&[("RUN", 1)], &[("RUN", 16)]]);
 /// For photographs of which all pixels count, and for those of which some do.
 const MASKED: Definitions = sets(&[&[], &[("MASKED", 1)]]);
-const OPAQUE: Definitions = sets(&[&[], &[("OPAQUE", 1)]]);
+/// For each degree of the view direction, of all visible anchors and of the opaque ones.
+const OPAQUE: Definitions = sets(&[
+    &[("VIEW_DEGREE", 1)],
+    &[("VIEW_DEGREE", 1), ("OPAQUE", 1)],
+    &[("VIEW_DEGREE", 2)],
+    &[("VIEW_DEGREE", 2), ("OPAQUE", 1)],
+    &[("VIEW_DEGREE", 3)],
+    &[("VIEW_DEGREE", 3), ("OPAQUE", 1)],
+]);
 const LANES: Definitions = sets(&[&[("LANES", 8)], &[("LANES", 16)], &[("LANES", 32)], &[("LANES", 64)]]);
 /// The modes of `dense`.
 const MODES: Definitions = sets(&[&[("MODE", 0)], &[("MODE", 1)], &[("MODE", 2)]]);

@@ -5,8 +5,8 @@ use glam::DVec3;
 use super::LIMIT;
 use crate::{Projection, domain::SceneScale, model::ModelShape};
 
-/// Feature, unit view direction, distance in units of `unit` (METHOD.md §2.2). A feature value that is not finite reads as
-/// zero.
+/// Feature, unit view direction, distance in units of `scene_scale`, harmonics of the direction (METHOD.md §2.2). A feature value that is
+/// not finite reads as zero.
 #[must_use]
 pub fn network_input(
     projection: &Projection,
@@ -20,7 +20,9 @@ pub fn network_input(
     let distance = ray.length().max(1e-12);
     let finite = |value: &f64| if value.abs() < LIMIT { *value } else { 0.0 };
     let mut input: Vec<f64> = row[..shape.features].iter().map(finite).collect();
-    input.extend((ray / distance).to_array());
+    let direction = ray / distance;
+    input.extend(direction.to_array());
     input.push(distance / f64::from(scene_scale.length()));
+    input.extend(shape.view_degree.harmonics(direction));
     input
 }

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use tcgs_codec::domain::{Camera, Lattice, Pose, SceneScale};
+use tcgs_codec::domain::{Camera, Lattice, Pose, SceneScale, ViewDegree};
 use tcgs_render::{
     AnchorGradients, DeviceAnchors, NeuralGaussians, RasterSettings, Rasterizer, RenderError,
     gpu::{AdapterReport, Device, DeviceSettings, GpuError, Subgroups},
@@ -165,6 +165,17 @@ fn distances_in_another_unit_match_the_twin() {
         assert_matches_twin(&found, &scene, &camera, 7.0, 11);
         let in_the_worlds = run(&device, &mut self::neural(SMALL, true), &scene, &camera, 7.0, &gradients);
         assert_ne!(bits(&found), bits(&in_the_worlds), "{length}");
+    }
+}
+
+#[test]
+fn harmonics_of_the_direction_match_the_twin() {
+    for view_degree in ViewDegree::ALL {
+        for shape in [SMALL, USUAL] {
+            for subgroups in [true, false] {
+                assert_eq!(check(ModelShape { view_degree, ..shape }, 130, 0.8, subgroups), 130);
+            }
+        }
     }
 }
 

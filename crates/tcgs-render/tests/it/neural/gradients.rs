@@ -1,7 +1,7 @@
 //! The f64 twins' gradients against central differences of their own forward pass.
 
 use glam::DVec3;
-use tcgs_codec::domain::SceneScale;
+use tcgs_codec::domain::{SceneScale, ViewDegree};
 use tcgs_render::{
     model::{ModelShape, NetworkLayout},
     twin::{Gaussian, GaussianGradient, neural as twin},
@@ -23,8 +23,16 @@ fn dot(gaussian: &Gaussian, v: &GaussianGradient) -> f64 {
 
 #[test]
 fn the_whole_chain_has_the_gradient_of_a_random_linear_loss_and_the_volume() {
-    const VOLUME_WEIGHT: f64 = 40.0;
-    let shape = ModelShape::new(4, 3);
+    assert_has_the_gradient_of_its_forward_pass(ModelShape::new(4, 3), 40.0);
+}
+
+#[test]
+fn with_harmonics_the_whole_chain_has_that_gradient_too() {
+    let shape = ModelShape { view_degree: ViewDegree::ALL[2], ..ModelShape::new(4, 3) };
+    assert_has_the_gradient_of_its_forward_pass(shape, 80.0);
+}
+
+fn assert_has_the_gradient_of_its_forward_pass(shape: ModelShape, volume_weight: f64) {
     let camera = random::camera(30, 20);
     let projection = projection(&camera);
     let scene = Scene::random(3, shape, 6, 1.0, &projection);
@@ -37,10 +45,10 @@ fn the_whole_chain_has_the_gradient_of_a_random_linear_loss_and_the_volume() {
     let loss = |anchors: &twin::Anchors| -> f64 {
         let spawned = twin::neural_forward(&projection, anchors);
         let linear: f64 = spawned.gaussians.iter().zip(&v).filter_map(|(g, v)| g.map(|g| dot(&g, v))).sum();
-        linear + VOLUME_WEIGHT * twin::volume(&spawned.gaussians)
+        linear + volume_weight * twin::volume(&spawned.gaussians)
     };
     let plain = twin::neural_backward(&anchors, &spawned, &v, 0.0);
-    let found = twin::neural_backward(&anchors, &spawned, &v, VOLUME_WEIGHT);
+    let found = twin::neural_backward(&anchors, &spawned, &v, volume_weight);
     let moved = |change: &dyn Fn(&mut twin::Anchors, f64)| {
         let at = |by: f64| {
             let mut anchors = anchors.clone();
@@ -151,6 +159,15 @@ fn the_input_is_feature_direction_and_distance_in_the_scenes_unit() {
     let in_eighths = twin::network_input(&projection(&camera), position, shape, &row, eighth);
     assert_eq!(in_eighths[..7], input[..7]);
     assert_eq!(in_eighths[7], 8.0 * input[7]);
+    let seeing = ModelShape { view_degree: ViewDegree::ALL[2], ..shape };
+    let with_harmonics =
+        twin::network_input(&projection(&camera), position, seeing, &row, SceneScale::DEFAULT);
+    assert_eq!(with_harmonics[..8], input);
+    let harmonics: Vec<f64> = seeing.view_degree.harmonics(ray.normalize()).collect();
+    assert!(
+        with_harmonics[8..].iter().zip(&harmonics).all(|(found, expected)| (found - expected).abs() < 1e-12)
+    );
+    assert_eq!((with_harmonics.len(), harmonics.len()), (20, 12));
     // At the camera itself there is no direction, and nothing that is not a number either.
     let center = camera.pose.center();
     let there = twin::network_input(&projection(&camera), center, shape, &row, eighth);

@@ -21,9 +21,20 @@ const BOUND: f64 = 1e-5;
 
 #[test]
 fn a_trained_file_has_the_gaussians_that_its_format_says() {
-    let root = root();
-    let file = root.join("tests/golden/trained_v1.tcgs");
     let eye = DVec3::new(2.75, -2.25, 1.75);
+    assert_has_the_gaussians_of_its_format("trained_v1.tcgs", eye, DVec3::new(0.12, 0.1, 0.32), [300, 500]);
+}
+
+#[test]
+fn networks_that_get_harmonics_of_the_direction_make_the_gaussians_that_their_format_says() {
+    let eye = DVec3::new(0.5, -1.0, 2.25);
+    assert_has_the_gaussians_of_its_format("harmonics_v1.tcgs", eye, DVec3::new(0.2, -1.55, 2.95), [30, 20]);
+}
+
+/// Compares the twin with the oracle for a golden file; more anchors and Gaussians than `least` must be in view.
+fn assert_has_the_gaussians_of_its_format(name: &str, eye: DVec3, target: DVec3, least: [usize; 2]) {
+    let root = root();
+    let file = root.join("tests/golden").join(name);
     let mut script = Command::new("python3");
     script
         .arg(root.join("tests/oracles/gaussians.py"))
@@ -40,10 +51,10 @@ fn a_trained_file_has_the_gaussians_that_its_format_says() {
     let rows = AnchorRows::from_scene(&scene);
     let networks = NetworkLayout::new(rows.shape).from_networks(&scene.networks).expect("a known shape");
     let anchors = twin::Anchors::new(&rows, &networks, scene.scene_scale);
-    let pose = Pose::look_at(eye, DVec3::new(0.12, 0.1, 0.32), DVec3::Z).expect("a view");
+    let pose = Pose::look_at(eye, target, DVec3::Z).expect("a view");
     let camera = Camera::new(Intrinsics::from_horizontal_fov(1.2, 64, 64).expect("a camera"), pose);
     let spawned = twin::neural_forward(&projection(&camera.expect("a camera")), &anchors);
-    assert!(spawned.list.len() > 300, "{} anchors are in view", spawned.list.len());
+    assert!(spawned.list.len() > least[0], "{} anchors are in view", spawned.list.len());
 
     let mut made = 0;
     for (anchor, found) in spawned.list.iter().zip(spawned.gaussians.chunks_exact(rows.shape.offsets)) {
@@ -73,5 +84,5 @@ fn a_trained_file_has_the_gaussians_that_its_format_says() {
             }
         }
     }
-    assert!(made > 500, "{made} Gaussians");
+    assert!(made > least[1], "{made} Gaussians");
 }
