@@ -14,8 +14,10 @@ pub struct ViewDegree(u8);
 impl ViewDegree {
     /// The direction alone, as published, and as in files that state no degree.
     pub const DEFAULT: Self = Self(1);
+    /// The highest degree.
+    pub const MAX: Self = Self(3);
     /// Every degree.
-    pub const ALL: [Self; 3] = [Self(1), Self(2), Self(3)];
+    pub const ALL: [Self; 3] = [Self::DEFAULT, Self(2), Self::MAX];
 
     /// This degree, if it is one of [`Self::ALL`].
     #[must_use]
@@ -84,7 +86,7 @@ mod tests {
     #[test]
     fn the_squares_of_a_degree_sum_to_one() {
         for direction in [DVec3::X, DVec3::new(0.6, 0.0, -0.8), DVec3::new(-2.0, 3.0, 6.0) / 7.0] {
-            let values: Vec<f64> = ViewDegree::ALL[2].harmonics(direction).collect();
+            let values: Vec<f64> = ViewDegree::MAX.harmonics(direction).collect();
             assert_eq!(values.len(), 12);
             for degree in [&values[..5], &values[5..]] {
                 let sum: f64 = degree.iter().map(|value| value * value).sum();

@@ -100,7 +100,7 @@ fn regressions() -> Encoded {
 fn harmonics() -> Encoded {
     let (feature_dim, offsets) = (4, 2);
     let mut scene = scene(Recipe { seed: 2030, anchors: 40, feature_dim, offsets, masked: 0.3 });
-    let inputs = feature_dim + ViewDegree::ALL[2].inputs();
+    let inputs = feature_dim + ViewDegree::MAX.inputs();
     scene.networks = networks(&mut Normal::new(2032), [inputs, feature_dim, offsets]);
     encode(&scene, None, &settings()).expect("encodes")
 }

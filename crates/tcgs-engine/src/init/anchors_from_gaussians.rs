@@ -378,7 +378,7 @@ mod tests {
 
     #[test]
     fn harmonics_begin_a_tenth_as_strong_and_the_distance_unseen() {
-        let shape = ModelShape { view_degree: ViewDegree::ALL[2], ..SHAPE };
+        let shape = ModelShape { view_degree: ViewDegree::MAX, ..SHAPE };
         let rule = |means: &[[f32; 3]]| VoxelRule::OfSpacing(1.0 / 16.0).for_points(means, 1.0);
         let (units, mut rng) = (PassingUnits::RECTIFYING, Pcg64::seed_from_u64(1));
         let first =

@@ -180,7 +180,7 @@ fn the_networks_are_told_distances_in_the_scenes_unit() {
 
 #[test]
 fn harmonics_of_the_direction_become_colors_of_their_degree() {
-    let view_degree = ViewDegree::ALL[2];
+    let view_degree = ViewDegree::MAX;
     let inputs = FEATURES + view_degree.inputs();
     let mut scene = scene();
     // The green of the first offset is a lobe of degree 2, the blue one of degree 3.

@@ -27,12 +27,13 @@ fn shape_of(state: &mut ModelState, of_schedule: ModelShape) -> Result<ModelShap
         return Ok(of_schedule);
     }
     let widths = state.take_exactly::<u32>("shape", 3)?;
-    let [stated_features, stated_hidden, stated_offsets] = [0, 1, 2].map(|index| widths[index] as usize);
-    let ModelShape { features, hidden, offsets, view_degree } = of_schedule;
-    let shape =
-        ModelShape { features: stated_features, hidden: stated_hidden, offsets: stated_offsets, view_degree };
+    let [features, hidden, offsets] = [0, 1, 2].map(|index| widths[index] as usize);
+    let shape = ModelShape { features, hidden, offsets, ..of_schedule };
     // Larger widths would allocate more than the memory estimate.
-    if shape.check().is_err() || shape.features > features || shape.hidden > hidden || shape.offsets > offsets
+    if shape.check().is_err()
+        || features > of_schedule.features
+        || hidden > of_schedule.hidden
+        || offsets > of_schedule.offsets
     {
         return Err(CheckpointError::array("shape", "is not one that this run can have"));
     }

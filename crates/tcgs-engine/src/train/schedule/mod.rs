@@ -32,7 +32,7 @@ use crate::{
 const RECTIFYING_FROM: u32 = 500;
 
 /// How networks see the direction of view in runs of at least [`HARMONICS_FROM`] steps: shorter ones do not learn that much.
-const VIEW_DEGREE: ViewDegree = ViewDegree::ALL[2];
+const VIEW_DEGREE: ViewDegree = ViewDegree::MAX;
 const HARMONICS_FROM: u32 = 500;
 
 /// The coarsest growth cell in lattice cells, as published: growth has three levels, each a quarter of the one before.

@@ -66,7 +66,7 @@ const RUN: Definitions = sets(&[&[("RUN", 1)], &[("RUN", 16)]]);
 /// For photographs of which all pixels count, and for those of which some do.
 const MASKED: Definitions = sets(&[&[], &[("MASKED", 1)]]);
 /// For each degree of the view direction, of all visible anchors and of the opaque ones.
-const OPAQUE: Definitions = sets(&[
+const VIEW_DEGREES: Definitions = sets(&[
     &[("VIEW_DEGREE", 1)],
     &[("VIEW_DEGREE", 1), ("OPAQUE", 1)],
     &[("VIEW_DEGREE", 2)],
@@ -149,7 +149,7 @@ kernels! {
         "count_visible_anchors": ONE,
         "list_visible_anchors": ONE,
         "opaque_anchors": ONE.of_shape().by_variant(),
-        "network_input": OPAQUE.of_shape().by_variant(),
+        "network_input": VIEW_DEGREES.of_shape().by_variant(),
         "visible_offsets": ONE.of_shape().by_variant(),
         "spawn_gaussians": ONE.of_shape().by_variant(),
         "count_gaussians": ONE.of_shape().by_variant(),

@@ -28,7 +28,7 @@ fn the_whole_chain_has_the_gradient_of_a_random_linear_loss_and_the_volume() {
 
 #[test]
 fn with_harmonics_the_whole_chain_has_that_gradient_too() {
-    let shape = ModelShape { view_degree: ViewDegree::ALL[2], ..ModelShape::new(4, 3) };
+    let shape = ModelShape { view_degree: ViewDegree::MAX, ..ModelShape::new(4, 3) };
     assert_has_the_gradient_of_its_forward_pass(shape, 80.0);
 }
 
@@ -159,7 +159,7 @@ fn the_input_is_feature_direction_and_distance_in_the_scenes_unit() {
     let in_eighths = twin::network_input(&projection(&camera), position, shape, &row, eighth);
     assert_eq!(in_eighths[..7], input[..7]);
     assert_eq!(in_eighths[7], 8.0 * input[7]);
-    let seeing = ModelShape { view_degree: ViewDegree::ALL[2], ..shape };
+    let seeing = ModelShape { view_degree: ViewDegree::MAX, ..shape };
     let with_harmonics =
         twin::network_input(&projection(&camera), position, seeing, &row, SceneScale::DEFAULT);
     assert_eq!(with_harmonics[..8], input);
