@@ -1,4 +1,4 @@
-"""Decodes `.tcgs` files of versions 1.0 and 1.1: an independent implementation, written from FORMAT.md without a look at the program, in plain
+"""Decodes `.tcgs` files of versions 1.0 to 1.3: an independent implementation, written from FORMAT.md without a look at the program, in plain
 Python. Prints for each file the decode hash that it computed, and fails where that is not the one which the file states.
 
     python3 tests/oracles/decoder.py FILE...
