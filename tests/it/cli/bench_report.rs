@@ -178,6 +178,32 @@ fn check_files(out: &Path) {
 }
 
 #[test]
+fn a_set_with_a_sector_held_out_is_named_so_with_its_convention() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let at = |name: &str| folder.path().join(name);
+    let (sets, out, matrix) = (at("sets"), at("out"), at("m.toml"));
+    write_set(&sets.join("ball"));
+    let runs = "[[runs]]\nmodels = [\"3dgs\"]\nsteps = [2]\n";
+    fs::write(&matrix, format!("reference_views = 0\n{runs}{runs}sector = true\n")).expect("writes");
+    let mut arguments = report(&sets, &matrix, &out);
+    arguments.push(OsStr::new("--json"));
+    let answer = answers(&arguments);
+    let of_run = |run: usize| {
+        let metrics = &answer["runs"][run]["metrics"];
+        let held_out = metrics["conventions"]["held_out"].as_str().expect("a phrase");
+        (held_out.to_owned(), metrics["test"]["views"].as_u64())
+    };
+    let (sector, views) = of_run(1);
+    assert!(sector.starts_with("a sector") && views == Some(6), "{sector}, {views:?}");
+    assert_ne!(of_run(0).0, sector);
+    let tables = fs::read_to_string(out.join("report.md")).expect("the tables");
+    assert!(tables.contains("| ball-sector | 3dgs |"), "{tables}");
+    let stated =
+        |set: &str| tables.lines().find(|line| line.starts_with(&format!("{set}: "))).expect("a line");
+    assert!(stated("ball-sector").contains(&sector) && !stated("ball").contains(&sector), "{tables}");
+}
+
+#[test]
 fn what_a_report_cannot_do_is_said_before_it_begins() {
     let folder = tempfile::tempdir().expect("a folder");
     let (sets, matrix) = (folder.path().join("sets"), folder.path().join("m.toml"));

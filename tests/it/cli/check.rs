@@ -40,6 +40,12 @@ fn a_dataset_is_described_or_refused_with_the_file_that_is_wrong() {
     assert_eq!(document, expected);
     assert_eq!(described(&[zip.to_str().expect("UTF-8")]), (expected, estimate));
 
+    let (sector, _) = described(&[path, "--holdout", "sector"]);
+    assert_eq!((&sector["train"], &sector["test"]), (&json!(42), &json!(6)));
+    let note =
+        "a sector is held out: the 6 photographs whose cameras are nearest to that of images/view_00.png";
+    assert_eq!(sector["notes"], json!([note]));
+
     fs::remove_file(scene.join("images/view_07.png")).expect("removes");
     let refused = tcgs(["check", path, "--json"]);
     assert_eq!(refused.status.code(), Some(3));

@@ -4,7 +4,7 @@ use tcgs_codec::domain::{ByteCounts, CodingStages, RenderingError};
 use tcgs_engine::eval::Estimate;
 
 use super::{
-    equal_seconds,
+    conventions, equal_seconds,
     plots::Plots,
     published::Comparison,
     record::RunRecord,
@@ -31,6 +31,11 @@ pub struct ReportContent<'a> {
 /// A mean with its interval, or a dash.
 fn shown(estimate: Option<Estimate>, decimals: usize) -> String {
     estimate.map_or_else(|| NONE.to_owned(), |estimate| estimate.text(decimals))
+}
+
+/// A figure, or a dash.
+fn decimal(value: Option<f64>, decimals: usize) -> String {
+    value.map_or_else(|| NONE.to_owned(), |value| format!("{value:.decimals$}"))
 }
 
 /// A difference with its interval, signed, with a star where the interval excludes zero.
@@ -443,8 +448,8 @@ impl ReportContent<'_> {
                 let cells = vec![
                     row.method.clone(),
                     format!("{:.2}", row.psnr),
-                    format!("{:.3}", row.ssim),
-                    format!("{:.3}", row.lpips),
+                    decimal(row.ssim, 3),
+                    decimal(row.lpips, 3),
                     format!("{:.2}", row.bytes as f64 / 1e6),
                     row.source.clone(),
                 ];
@@ -493,15 +498,12 @@ impl ReportContent<'_> {
                     groups.iter().map(|group| Some(group.estimate(figure)?.mean)).collect();
                 each.map(|each| each.iter().sum::<f64>() / each.len() as f64)
             };
-            let text = |value: Option<f64>, decimals: usize| {
-                value.map_or_else(|| NONE.to_owned(), |value| format!("{value:.decimals$}"))
-            };
             let bytes = mean(|run| Some(run.metrics.bytes.total as f64))?;
             let cells = vec![
                 format!("ours: {}, {} steps", group.name(), group.first().metrics.steps),
-                text(mean(|run| run.metrics.test.psnr), 2),
-                text(mean(|run| run.metrics.test.ssim), 3),
-                text(mean(|run| run.metrics.test.lpips), 3),
+                decimal(mean(|run| run.metrics.test.psnr), 2),
+                decimal(mean(|run| run.metrics.test.ssim), 3),
+                decimal(mean(|run| run.metrics.test.lpips), 3),
                 format!("{:.2}", bytes / 1e6),
                 "this report, mean over the scenes".to_owned(),
             ];
@@ -530,9 +532,8 @@ impl ReportContent<'_> {
             row.push(if loads.is_empty() { "unknown".to_owned() } else { format!("{low:.1} to {high:.1}") });
         }
         let head = texts(&["adapter and driver", "session began", "cores", "load average"]);
-        let conventions = self.records.first().map(|run| run.metrics.conventions.to_string());
         let mut blocks = vec![Block::Table(Table::new(head, rows))];
-        blocks.extend(conventions.map(Block::Note));
+        blocks.extend(conventions::by_set(self.records).into_iter().map(Block::Note));
         blocks
     }
 }

@@ -1,6 +1,7 @@
 //! Tables and charts of speed against error, from the records of a declared matrix of runs.
 
 pub mod content;
+pub mod conventions;
 pub mod csv;
 pub mod equal_seconds;
 pub mod machine;

@@ -2,12 +2,14 @@
 
 use std::{collections::BTreeMap, sync::LazyLock};
 
+use tcgs_codec::domain::Background;
+
 use super::{record::RunRecord, summary::Group};
 
 /// The committed table; its head has the sources.
 const TABLE: &str = include_str!("published.csv");
 
-/// A published row.
+/// A published row. A source that does not print a figure leaves its cell empty.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Published {
     pub dataset: String,
@@ -15,8 +17,8 @@ pub struct Published {
     pub scene: String,
     pub method: String,
     pub psnr: f64,
-    pub ssim: f64,
-    pub lpips: f64,
+    pub ssim: Option<f64>,
+    pub lpips: Option<f64>,
     pub bytes: u64,
     pub source: String,
 }
@@ -27,6 +29,8 @@ struct Protocol {
     scenes: &'static [&'static str],
     /// Width, height and number of the test views, where the dataset has them fixed.
     views: Option<([u32; 2], usize)>,
+    /// The background that photographs with alpha are composited on, where the dataset has alpha.
+    background: Option<Background>,
 }
 
 const PROTOCOLS: [Protocol; 4] = [
@@ -34,15 +38,17 @@ const PROTOCOLS: [Protocol; 4] = [
         name: "synthetic-nerf",
         scenes: &["chair", "drums", "ficus", "hotdog", "lego", "materials", "mic", "ship"],
         views: Some(([800, 800], 200)),
+        background: Some(Background::White),
     },
-    Protocol { name: "tanks-and-temples", scenes: &["train", "truck"], views: None },
-    Protocol { name: "deep-blending", scenes: &["drjohnson", "playroom"], views: None },
+    Protocol { name: "tanks-and-temples", scenes: &["train", "truck"], views: None, background: None },
+    Protocol { name: "deep-blending", scenes: &["drjohnson", "playroom"], views: None, background: None },
     Protocol {
         name: "mip-nerf-360",
         scenes: &[
             "bicycle", "bonsai", "counter", "flowers", "garden", "kitchen", "room", "stump", "treehill",
         ],
         views: None,
+        background: None,
     },
 ];
 
@@ -59,13 +65,18 @@ fn parse(text: &str) -> Option<Vec<Published>> {
                 scene: scene.to_owned(),
                 method: method.to_owned(),
                 psnr: psnr.parse().ok()?,
-                ssim: ssim.parse().ok()?,
-                lpips: lpips.parse().ok()?,
+                ssim: optional(ssim)?,
+                lpips: optional(lpips)?,
                 bytes: bytes.parse().ok()?,
                 source: source.to_owned(),
             })
         })
         .collect()
+}
+
+/// A cell that may be empty; `None` where it is not a number.
+fn optional(cell: &str) -> Option<Option<f64>> {
+    if cell.is_empty() { Some(None) } else { cell.parse().ok().map(Some) }
 }
 
 /// Published rows that are shown for a set, or for the mean over a dataset.
@@ -138,12 +149,21 @@ fn rows(dataset: &str, scene: &str) -> Vec<&'static Published> {
 
 /// What differs from the protocol, which is nothing for `None`; an error where the set is another one.
 fn caution(protocol: &Protocol, run: &RunRecord) -> Result<Option<String>, ()> {
-    let Some((size, views)) = protocol.views else { return Ok(None) };
-    if run.view_size != Some(size) {
-        return Err(());
+    let mut differences = Vec::new();
+    if let Some((size, views)) = protocol.views {
+        if run.view_size != Some(size) {
+            return Err(());
+        }
+        let ours = run.metrics.test.views;
+        if ours != views {
+            differences.push(format!("ours are over {ours} of the {views} test views"));
+        }
     }
-    let ours = run.metrics.test.views;
-    Ok((ours != views).then(|| format!("ours are over {ours} of the {views} test views")))
+    let ours = run.options.background;
+    if let Some(theirs) = protocol.background.filter(|theirs| *theirs != ours) {
+        differences.push(format!("ours are on {}, the dataset's protocol is {}", ours.name(), theirs.name()));
+    }
+    Ok((!differences.is_empty()).then(|| differences.join("; ")))
 }
 
 #[cfg(test)]
@@ -193,6 +213,17 @@ mod tests {
     }
 
     #[test]
+    fn a_curve_of_pruned_splats_has_no_ssim() {
+        let rows = rows("synthetic-nerf", "chair");
+        let kiss: Vec<_> = rows.iter().filter(|row| row.method.starts_with("KISS-GS")).collect();
+        assert_eq!(kiss.len(), 6);
+        assert!(kiss.iter().all(|row| row.ssim.is_none() && row.lpips.is_none()));
+        assert!(kiss.windows(2).all(|pair| pair[0].psnr < pair[1].psnr && pair[0].bytes < pair[1].bytes));
+        let again = rows.iter().find(|row| row.method == "HAC++ low rate (run again)").expect("a row");
+        assert_eq!((again.psnr, again.bytes), (33.29, 654_000));
+    }
+
+    #[test]
     fn figures_of_a_dataset_are_left_out_beside_another_one() {
         let scenes = BTreeMap::from([("ball".to_owned(), "synthetic-nerf/chair".to_owned())]);
         let mut run = record(ModelKind::Tcgs, None, 0, 30.0, 1000);
@@ -203,7 +234,9 @@ mod tests {
         let found = comparisons(&scenes, &groups);
         assert_eq!(found.len(), 1, "no mean over eight scenes from one");
         assert!(found[0].rows.iter().all(|row| row.scene == "chair"));
-        assert_eq!(found[0].caution.as_deref(), Some("ours are over 2 of the 200 test views"));
+        let caution =
+            "ours are over 2 of the 200 test views; ours are on black, the dataset's protocol is white";
+        assert_eq!(found[0].caution.as_deref(), Some(caution));
         assert!(comparisons(&BTreeMap::new(), &groups).is_empty(), "nothing is claimed unasked");
         let wrong = BTreeMap::from([("ball".to_owned(), "synthetic-nerf/teapot".to_owned())]);
         assert!(check(&wrong).expect_err("refused").contains("published.ball"));
