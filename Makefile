@@ -53,7 +53,7 @@ long-results: build ## the same of benches/long.toml, whole runs of preview, int
 opponents: build ## the same of benches/opponents.toml, plain Gaussians pruned to a number beside the method, into docs/OPPONENTS.md
 	$(call report,opponents,OPPONENTS)
 
-ladder: build ## the same of benches/ladder.toml, one set at several sizes, into docs/LADDER.md
+ladder: build ## the same of benches/ladder.toml, sets at several sizes, into docs/LADDER.md
 	$(call report,ladder,LADDER)
 
 gate: setup ## hold PSNR, bytes and speed of two fixed scenes to scripts/gate.json; UPDATE=1 rewrites it
