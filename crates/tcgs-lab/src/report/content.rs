@@ -209,7 +209,7 @@ impl ReportContent<'_> {
             row.remove(2);
             let mean = |figure: &dyn Fn(&RunRecord) -> u64| {
                 let estimate = group.estimate(|run| Some(figure(run) as f64));
-                estimate.map_or_else(|| NONE.to_owned(), |estimate| format!("{:.0}", estimate.mean))
+                decimal(estimate.map(|estimate| estimate.mean), 0)
             };
             row.extend((0..names.len()).map(|at| mean(&|run| run.metrics.bytes.parts()[at].1)));
             row.push(mean(&|run| run.metrics.bytes.total));
@@ -419,7 +419,7 @@ impl ReportContent<'_> {
                     format!("{:.1e}", variant.error.max),
                     format!("{:.1e}", sweep.cutoff_rmse),
                     format!("{:.2}", sweep.reference_seconds),
-                    sweep.machine[1].load.map_or_else(|| NONE.to_owned(), |load| format!("{load:.1}")),
+                    decimal(sweep.machine[1].load, 1),
                 ]
             })
         });
