@@ -5,7 +5,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::{KeyId, ProjectId, named_choice};
+use super::{KeyId, ProjectId, ShareId, named_choice};
 
 named_choice! {
     /// What a key allows.
@@ -56,11 +56,24 @@ impl ProjectLimits {
     }
 }
 
+/// What a request is admitted by. Places that each caller may take are counted by it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub enum Credential {
+    /// Nothing: the service has no keys.
+    None,
+    /// A key.
+    Key(KeyId),
+    /// A shared link.
+    Link(ShareId),
+}
+
 /// The sender of a request.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Caller {
-    /// Its key; `None` while the service has no keys.
+    /// Its key; `None` while the service has no keys, and for a link's holder.
     pub key: Option<KeyId>,
+    /// The shared link that it came by.
+    pub link: Option<ShareId>,
     /// The project that it creates in.
     pub project: ProjectId,
     /// Whether it may see and do everything.
@@ -69,7 +82,17 @@ pub struct Caller {
 
 impl Caller {
     /// The caller of a service without keys.
-    pub const ANONYMOUS: Self = Self { key: None, project: ProjectId::DEFAULT, admin: true };
+    pub const ANONYMOUS: Self = Self { key: None, link: None, project: ProjectId::DEFAULT, admin: true };
+
+    /// What the request was admitted by.
+    #[must_use]
+    pub fn credential(&self) -> Credential {
+        match (self.key, self.link) {
+            (Some(key), _) => Credential::Key(key),
+            (None, Some(link)) => Credential::Link(link),
+            (None, None) => Credential::None,
+        }
+    }
 
     /// Whether this caller may see what belongs to `project`.
     #[must_use]
@@ -94,15 +117,28 @@ mod tests {
     fn a_caller_sees_its_project_and_an_administrator_everything() {
         let key = KeyId(Uuid::from_u128(9));
         let [one, other] = [1, 2].map(|id| ProjectId(Uuid::from_u128(id)));
-        let caller = Caller { key: Some(key), project: one, admin: false };
+        let caller = Caller { key: Some(key), link: None, project: one, admin: false };
         assert!(caller.may_see(one));
         assert!(!caller.may_see(other));
         assert!(!caller.may_see(ProjectId::DEFAULT), "what was made without a key is another project's");
         assert_eq!(caller.visible_project(), Some(one));
-        for all in [Caller::ANONYMOUS, Caller { key: Some(key), project: one, admin: true }] {
+        for all in [Caller::ANONYMOUS, Caller { admin: true, ..caller }] {
             assert!(all.may_see(other) && all.may_see(ProjectId::DEFAULT));
             assert_eq!(all.visible_project(), None);
         }
+    }
+
+    #[test]
+    fn holders_of_two_links_are_two_callers() {
+        let by = |link: u128| Caller {
+            key: None,
+            link: Some(ShareId(Uuid::from_u128(link))),
+            project: ProjectId::DEFAULT,
+            admin: false,
+        };
+        assert_eq!(by(1).credential(), by(1).credential());
+        assert_ne!(by(1).credential(), by(2).credential());
+        assert_eq!(Caller::ANONYMOUS.credential(), Credential::None);
     }
 
     #[test]

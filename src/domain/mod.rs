@@ -20,7 +20,7 @@ pub mod workers;
 pub(crate) use tcgs_codec::named_choice;
 pub use tcgs_engine::domain::*;
 
-pub use access::{Caller, DEFAULT_MAX_PRIORITY, MAX_PRIORITY, ProjectLimits, Scope};
+pub use access::{Caller, Credential, DEFAULT_MAX_PRIORITY, MAX_PRIORITY, ProjectLimits, Scope};
 pub(crate) use defaults::with_defaults;
 pub use id::{DatasetId, DeliveryId, EndpointId, JobId, KeyId, ProjectId, ShareId, UploadId};
 pub use job::{Event, EventKind, Job, JobState};

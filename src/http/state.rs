@@ -17,7 +17,7 @@ use super::{
     },
 };
 use crate::{
-    domain::{KeyId, ProjectId, ShareSecret},
+    domain::{Credential, ProjectId, ShareSecret},
     store::{Blobs, Store},
 };
 
@@ -41,7 +41,7 @@ pub struct App {
     pub(super) exports: ExportQueue,
     /// Permits for requests that wait for a job.
     pub(super) waits: Semaphore,
-    pub(super) event_streams: Slots<Option<KeyId>>,
+    pub(super) event_streams: Slots<Credential>,
     /// Cancelled once the server shuts down; waiting requests should then respond at once.
     pub(super) draining: CancellationToken,
     pub(super) auth_mode: AuthMode,

@@ -274,7 +274,7 @@ async fn admit(
     {
         return Err(out_of_scope(&record, scope));
     }
-    Ok(Caller { key: Some(record.id), project: record.project_id, admin: record.is_admin() })
+    Ok(Caller { key: Some(record.id), link: None, project: record.project_id, admin: record.is_admin() })
 }
 
 /// The key that a request shows.

@@ -115,7 +115,7 @@ pub(super) async fn admit(
     if share.target.is_some_and(|target| target != below) {
         return Err(closed());
     }
-    let caller = Caller { key: None, project: share.project, admin: false };
+    let caller = Caller { key: None, link: Some(share.id), project: share.project, admin: false };
     Ok((caller, OptionalLink { prefix: Some(prefix(&token)) }))
 }
 

@@ -15,10 +15,11 @@ use axum::{
 };
 use futures_util::{Stream, StreamExt as _, stream};
 
+use serde_json::json;
 use tokio_util::sync::CancellationToken;
 
 use crate::{
-    domain::{Caller, Event, EventKind, JobId, JobState, KeyId, ProblemType},
+    domain::{Caller, Credential, Event, EventKind, JobId, JobState, ProblemType},
     http::{
         auth::revocation::revoked,
         meters::GaugeGuard,
@@ -43,7 +44,7 @@ pub(crate) fn answer(
     caller: &Caller,
     job: JobId,
     after: u64,
-    slot: Slot<Option<KeyId>>,
+    slot: Slot<Credential>,
 ) -> Response {
     let counted = state.meters.stream_opened();
     let follower = Follower {
@@ -55,15 +56,15 @@ pub(crate) fn answer(
         _slot: slot,
         _counted: counted,
     };
-    respond(state, caller.key, events(follower))
+    respond(state, caller.credential(), events(follower))
 }
 
 /// A place for a stream of this caller.
 ///
 /// # Errors
-/// 429 if all are taken, or all that one key may have.
-pub(super) fn slot(state: &AppState, caller: &Caller) -> ApiResult<Slot<Option<KeyId>>> {
-    state.event_streams.take(caller.key).map_err(|taken| {
+/// 429 if all are taken, or all that one key or link may have.
+pub(super) fn slot(state: &AppState, caller: &Caller) -> ApiResult<Slot<Credential>> {
+    state.event_streams.take(caller.credential()).map_err(|taken| {
         let (count, of) = match taken.by_holder >= state.event_streams.capacity().each {
             true => (taken.by_holder, "of yours"),
             false => (taken.by_all, "in all"),
@@ -75,21 +76,21 @@ pub(super) fn slot(state: &AppState, caller: &Caller) -> ApiResult<Slot<Option<K
     })
 }
 
-/// A response with these events, which ends with them or soon after the key is revoked.
+/// A response with these events, which ends with them or soon after the key or the link is revoked.
 pub(super) fn respond(
     state: AppState,
-    key: Option<KeyId>,
+    credential: Credential,
     events: impl Stream<Item = Result<sse::Event, Infallible>> + Send + 'static,
 ) -> Response {
     let keep_alive = KeepAlive::new().interval(state.limits.keep_alive).text("");
     let first = Ok(sse::Event::default().retry(RETRY));
     let shut_out = CancellationToken::new();
-    let (watched, told) = (revoked(state, key), shut_out.clone());
+    let (watched, told) = (revoked(state, credential), shut_out.clone());
     let until_revoked = async move {
         watched.await;
         told.cancel();
     };
-    let closing = stream::once(async move { shut_out.is_cancelled().then(|| Ok(closing())) });
+    let closing = stream::once(async move { shut_out.is_cancelled().then(|| Ok(closing(credential))) });
     let all = stream::once(async { first })
         .chain(events.take_until(until_revoked))
         .chain(closing.filter_map(std::future::ready));
@@ -108,8 +109,12 @@ fn events(follower: Follower) -> impl Stream<Item = Result<sse::Event, Infallibl
 }
 
 /// The last event of a stream that ends before the job. It has no number, since it is not part of the job's history.
-fn closing() -> sse::Event {
-    sse::Event::default().event("closed").data(r#"{"reason":"key-revoked"}"#)
+fn closing(credential: Credential) -> sse::Event {
+    let reason = match credential {
+        Credential::Link(_) => "link-closed",
+        Credential::Key(_) | Credential::None => "key-revoked",
+    };
+    sse::Event::default().event("closed").data(json!({ "reason": reason }).to_string())
 }
 
 fn frame(event: &Event) -> sse::Event {
@@ -134,7 +139,7 @@ struct Follower {
     after: u64,
     page: VecDeque<Event>,
     ended: bool,
-    _slot: Slot<Option<KeyId>>,
+    _slot: Slot<Credential>,
     _counted: GaugeGuard,
 }
 

@@ -16,7 +16,7 @@ use tokio::time::sleep;
 
 use super::{body, event_stream::respond};
 use crate::{
-    domain::{Caller, JobId, KeyId},
+    domain::{Caller, Credential, JobId},
     http::{meters::GaugeGuard, shared::Slot, state::AppState},
     store::{JobFilter, JobVersion, StoreError},
 };
@@ -33,7 +33,7 @@ pub(super) fn answer(
     state: AppState,
     caller: &Caller,
     filter: JobFilter,
-    slot: Slot<Option<KeyId>>,
+    slot: Slot<Credential>,
 ) -> Response {
     let follower = Follower {
         filter,
@@ -43,7 +43,7 @@ pub(super) fn answer(
         _counted: state.meters.stream_opened(),
         state: state.clone(),
     };
-    respond(state, caller.key, events(follower))
+    respond(state, caller.credential(), events(follower))
 }
 
 fn events(follower: Follower) -> impl Stream<Item = Result<sse::Event, Infallible>> {
@@ -61,7 +61,7 @@ struct Follower {
     seen: Option<BTreeMap<JobId, JobVersion>>,
     /// Jobs to be sent.
     waiting: VecDeque<Waiting>,
-    _slot: Slot<Option<KeyId>>,
+    _slot: Slot<Credential>,
     _counted: GaugeGuard,
 }
 

@@ -17,7 +17,7 @@ use axum::http::header;
 use tokio::sync::oneshot;
 
 use crate::{
-    domain::{KeyId, ProblemType},
+    domain::{Credential, ProblemType},
     http::{
         problem::{Answer as _, ProblemResponse},
         shared::{Capacity, Slot, Slots},
@@ -82,12 +82,10 @@ pub(crate) struct RenderQueue(Arc<Shared>);
 #[derive(Debug)]
 struct Shared {
     at_once: usize,
-    requests: Slots<CallerId>,
-    streams: Slots<CallerId>,
+    requests: Slots<Credential>,
+    streams: Slots<Credential>,
     state: Mutex<QueueState>,
 }
-
-type CallerId = Option<KeyId>;
 
 #[derive(Debug, Default)]
 struct QueueState {
@@ -103,7 +101,7 @@ struct QueueState {
 
 #[derive(Debug)]
 struct CallerQueue {
-    caller: CallerId,
+    caller: Credential,
     waiting: VecDeque<(u64, oneshot::Sender<()>)>,
 }
 
@@ -112,7 +110,7 @@ impl QueueState {
         self.callers.iter().map(|queue| queue.waiting.len()).sum()
     }
 
-    fn wait(&mut self, caller: CallerId) -> (u64, oneshot::Receiver<()>) {
+    fn wait(&mut self, caller: Credential) -> (u64, oneshot::Receiver<()>) {
         let (sender, receiver) = oneshot::channel();
         self.tickets += 1;
         let entry = (self.tickets, sender);
@@ -124,7 +122,7 @@ impl QueueState {
     }
 
     /// Removes a ticket; whether it was still waiting.
-    fn remove(&mut self, caller: CallerId, ticket: u64) -> bool {
+    fn remove(&mut self, caller: Credential, ticket: u64) -> bool {
         let Some(index) = self.callers.iter().position(|queue| queue.caller == caller) else { return false };
         let waiting = &mut self.callers[index].waiting;
         let before = waiting.len();
@@ -188,7 +186,11 @@ impl RenderQueue {
     }
 
     /// Admits a caller's request or stream.
-    pub(crate) fn enter(&self, caller: CallerId, admission: Admission) -> Result<QueueSlot, AdmissionError> {
+    pub(crate) fn enter(
+        &self,
+        caller: Credential,
+        admission: Admission,
+    ) -> Result<QueueSlot, AdmissionError> {
         let (slots, unstarted) = match admission {
             Admission::Request(pictures) => (&self.0.requests, pictures),
             Admission::Stream => (&self.0.streams, 0),
@@ -210,9 +212,9 @@ impl RenderQueue {
 #[derive(Debug)]
 pub(crate) struct QueueSlot {
     shared: Arc<Shared>,
-    caller: CallerId,
+    caller: Credential,
     unstarted: AtomicUsize,
-    _slot: Slot<CallerId>,
+    _slot: Slot<Credential>,
 }
 
 impl QueueSlot {
@@ -248,7 +250,7 @@ impl Drop for QueueSlot {
 /// A ticket in the queue.
 struct Waiter {
     shared: Arc<Shared>,
-    caller: CallerId,
+    caller: Credential,
     ticket: u64,
     granted: bool,
 }
@@ -296,9 +298,10 @@ mod tests {
     use uuid::Uuid;
 
     use super::*;
+    use crate::domain::KeyId;
 
-    fn key(id: u128) -> CallerId {
-        Some(KeyId(Uuid::from_u128(id)))
+    fn key(id: u128) -> Credential {
+        Credential::Key(KeyId(Uuid::from_u128(id)))
     }
 
     fn queue(at_once: usize, all: usize, each: usize) -> RenderQueue {

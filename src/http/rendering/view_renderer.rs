@@ -19,7 +19,7 @@ use super::{
     queue::{Admission, AdmissionError, QueueLimits, QueueSlot, RenderPermit, RenderQueue},
 };
 use crate::{
-    domain::{KeyId, Problem},
+    domain::{Credential, Problem},
     http::{
         config::RequestLimits,
         meters::Meters,
@@ -126,7 +126,7 @@ impl ViewRenderer {
     /// If all places are taken, or all that one caller may have.
     pub(crate) fn enter(
         &self,
-        caller: Option<KeyId>,
+        caller: Credential,
         admission: Admission,
     ) -> Result<QueueSlot, AdmissionError> {
         self.0.queue.enter(caller, admission)

@@ -25,7 +25,7 @@ use tokio_util::task::AbortOnDropHandle;
 use tracing::Instrument as _;
 
 use crate::{
-    domain::KeyId,
+    domain::Credential,
     http::{
         auth::revocation::revoked,
         problem::ApiResult,
@@ -54,17 +54,17 @@ pub(super) struct FrameStream {
 pub(super) enum StopCondition {
     /// After its last picture.
     WhenDone,
-    /// Also when the server shuts down or this key is revoked.
-    Revoked(Option<KeyId>),
+    /// Also when the server shuts down, or this key or link is revoked.
+    Revoked(Credential),
 }
 
 impl StopCondition {
     async fn early(self, state: AppState) {
         match self {
             Self::WhenDone => std::future::pending().await,
-            Self::Revoked(key) => tokio::select! {
+            Self::Revoked(credential) => tokio::select! {
                 () = state.draining.cancelled() => {}
-                () = revoked(state.clone(), key) => {}
+                () = revoked(state.clone(), credential) => {}
             },
         }
     }

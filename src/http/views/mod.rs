@@ -117,7 +117,7 @@ pub(super) async fn post(
     let mut response = if frames.len() == 1 {
         single(&state, &caller, frames.remove(0)).await?
     } else {
-        let slot = state.view_renderer.enter(caller.key, Admission::Request(frames.len()))?;
+        let slot = state.view_renderer.enter(caller.credential(), Admission::Request(frames.len()))?;
         let stream = FrameStream { frames, rounds: 1, every: None, stop: StopCondition::WhenDone };
         let is_form = prefers(&headers, "multipart/form-data", "multipart/mixed");
         let kind = if is_form { Multipart::Form } else { Multipart::Mixed };
@@ -132,7 +132,7 @@ async fn single(state: &AppState, caller: &Caller, frame: RenderFrame) -> ApiRes
     let (picture, timing) = match state.view_renderer.cached(frame.key()) {
         Some(found) => found,
         None => {
-            let slot = state.view_renderer.enter(caller.key, Admission::Request(1))?;
+            let slot = state.view_renderer.enter(caller.credential(), Admission::Request(1))?;
             state.view_renderer.picture(&slot, frame, || ()).await?
         }
     };

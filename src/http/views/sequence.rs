@@ -60,8 +60,8 @@ pub(crate) async fn stream(
     let cameras = orbit.cameras(&state, &record).await?;
     let frames = frames_of_any_size(&state, &record, lambda, &cameras, kind)?;
     let every = Some(Duration::from_secs(1) / rate);
-    let stream = FrameStream { frames, rounds, every, stop: StopCondition::Revoked(caller.key) };
-    let slot = state.view_renderer.enter(caller.key, Admission::Stream)?;
+    let stream = FrameStream { frames, rounds, every, stop: StopCondition::Revoked(caller.credential()) };
+    let slot = state.view_renderer.enter(caller.credential(), Admission::Stream)?;
     let mut response = stream.answer(&state, slot, BodyFormat::Multipart(Multipart::Replace)).await?;
     let headers = response.headers_mut();
     headers.insert(header::CACHE_CONTROL, HeaderValue::from_static("no-store"));
@@ -151,7 +151,7 @@ async fn shown(
     rate: u32,
     format: AnimationFormat,
 ) -> ApiResult {
-    let slot = state.view_renderer.enter(caller.key, Admission::Request(stream.frames.len()))?;
+    let slot = state.view_renderer.enter(caller.credential(), Admission::Request(stream.frames.len()))?;
     let rate = u16::try_from(rate).unwrap_or(u16::MAX);
     match format {
         AnimationFormat::Apng => {

@@ -299,7 +299,7 @@ async fn a_hundred_clients_follow_a_job() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_stream_ends_with_a_word_soon_after_its_key_is_revoked() {
+async fn a_stream_ends_with_a_word_soon_after_its_key_or_link_is_revoked() {
     let limits = RequestLimits { key_recheck_interval: Duration::from_millis(5), ..Setup::default().limits };
     let server = Server::start_with(&Coverage::default(), no_worker(limits)).await;
     let [mine, other] =
@@ -316,6 +316,17 @@ async fn a_stream_ends_with_a_word_soon_after_its_key_is_revoked() {
     };
     let (mut stream, mut others) = (follow(&mine).await, follow(&other).await);
     assert_eq!(stream.next().await.map(|frame| frame.event).as_deref(), Some("state"));
+
+    let made = with_key(&server, "POST", &events.replace("/events", "/shares"), &other.key).await.expect(201);
+    let link = made.json()["url"].as_str().expect("a path").replace("/report", "/events");
+    let open = server.open("GET", &link, |request| request.header("accept", "text/event-stream"));
+    let mut shared = Reader::new(open.await);
+    assert_eq!(shared.next().await.map(|frame| frame.event).as_deref(), Some("state"));
+    with_key(&server, "DELETE", made.header("location"), &other.key).await.expect(204);
+    let last = shared.next().await.expect("a word");
+    assert_eq!((&*last.event, last.json()), ("closed", json!({ "reason": "link-closed" })));
+    assert_eq!(shared.next().await, None, "and the end");
+
     server.revoke(&mine).await;
     let last = stream.next().await.expect("a word");
     assert_eq!((&*last.event, &*last.id, last.json()), ("closed", "", json!({ "reason": "key-revoked" })));

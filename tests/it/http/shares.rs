@@ -1,8 +1,10 @@
 //! Links that open a job for those without a key: what they open, and how they end.
 
+use std::time::Duration;
+
 use jiff::SignedDuration;
 use serde_json::{Value, json};
-use tcgs::domain::Scope;
+use tcgs::{domain::Scope, http::config::RequestLimits};
 
 use super::{
     access::{stopped_clock, with_key},
@@ -160,6 +162,47 @@ pub(super) async fn a_link_may_open_one_thing_alone(coverage: Coverage) {
         share(&server, &job, &key, None).await.expect(201);
     }
     share(&server, &job, &key, None).await.expect_problem(409, "too-many-shares");
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn holders_of_one_link_leave_the_places_of_other_links_free() {
+    let (setup, _) = stopped_clock();
+    let limits = RequestLimits { streams_per_caller: 1, ..setup.limits.clone() };
+    let server = Server::start_with(&Coverage::default(), Setup { worker: true, limits, ..setup }).await;
+    let key = server.key(&[Scope::Read, Scope::JobsWrite]).await;
+    let job = finished(&server, &key).await;
+    let mut streams = Vec::new();
+    for _ in 0..2 {
+        let link = share(&server, &job, &key, None).await.expect(201).json();
+        let url =
+            link["url"].as_str().expect("a path").replace("/report", "/stream?orbit=1000&frames=2&fps=1");
+        let mut open = server.open("GET", &url, |request| request).await;
+        open.chunk().await.expect("a body").expect("a first part");
+        server.get(&url).await.expect_problem(429, "too-many-views");
+        streams.push(open);
+    }
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn what_a_link_has_opened_ends_soon_after_the_link() {
+    let (setup, clock) = stopped_clock();
+    let limits = RequestLimits { key_recheck_interval: Duration::from_millis(5), ..setup.limits.clone() };
+    let server = Server::start_with(&Coverage::default(), Setup { worker: true, limits, ..setup }).await;
+    let key = server.key(&[Scope::Read, Scope::JobsWrite]).await;
+    let job = finished(&server, &key).await;
+    for is_revoked in [true, false] {
+        let made = share(&server, &job, &key, Some(json!({ "expires_in_s": 60 }))).await.expect(201);
+        let url = made.json()["url"].as_str().expect("a path").to_owned();
+        let url = url.replace("/report", "/stream?orbit=1000&frames=2&fps=1");
+        let mut stream = server.open("GET", &url, |request| request).await;
+        stream.chunk().await.expect("a body").expect("a first part");
+        match is_revoked {
+            true => drop(with_key(&server, "DELETE", made.header("location"), &key.key).await.expect(204)),
+            false => clock.advance(SignedDuration::from_secs(60)),
+        }
+        // Half an hour of it is left.
+        while let Ok(Some(_)) = stream.chunk().await {}
+    }
 }
 
 pub(super) async fn every_replica_knows_the_links_of_the_others(coverage: Coverage) {
