@@ -148,6 +148,8 @@ with_defaults! {
         pub animation_pixels: u64 = 1 << 26,
         /// Size of the cache of encoded views, in bytes.
         pub view_cache_bytes: u64 = 64 << 20,
+        /// Bytes of whole pictures and animations above a mebibyte that are sent at a time.
+        pub held_bytes: u64 = 256 << 20,
         /// Scenes that are exported at a time.
         pub exports: usize = 1,
         /// Scenes that may wait to be exported.

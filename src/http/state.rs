@@ -12,8 +12,8 @@ use super::{
     rendering::ViewRenderer,
     services::Services,
     shared::{
-        AuthMode, Capacity, Checks, ExportQueue, InFlight, Reservations, Slot, Slots, StatsCache, Throttle,
-        Watcher,
+        AuthMode, Capacity, Checks, ExportQueue, HeldBytes, InFlight, Reservations, Slot, Slots, StatsCache,
+        Throttle, Watcher,
     },
 };
 use crate::{
@@ -39,6 +39,8 @@ pub struct App {
     pub(super) watcher: Watcher,
     pub(super) in_flight: InFlight,
     pub(super) exports: ExportQueue,
+    /// Room for pictures and animations that are being sent.
+    pub(super) held_bytes: HeldBytes,
     /// Permits for requests that wait for a job.
     pub(super) waits: Semaphore,
     pub(super) event_streams: Slots<Credential>,
@@ -77,6 +79,7 @@ impl AppState {
         let checks = Arc::new(Semaphore::new(limits.checks));
         let waits = Semaphore::new(limits.waits);
         let exports = ExportQueue::new(limits.exports, limits.exports_waiting);
+        let held_bytes = HeldBytes::new(limits.held_bytes);
         let watcher = Watcher::new(services.store.clone(), limits.watch_interval);
         let (store, blobs) = (services.store.clone(), services.blobs.clone());
         let stats = StatsCache::new(store.clone());
@@ -97,6 +100,7 @@ impl AppState {
             watcher,
             in_flight: InFlight::default(),
             exports,
+            held_bytes,
             waits,
             event_streams,
             draining,

@@ -93,7 +93,7 @@ pub(crate) fn serve_made<K: Send + 'static>(
 }
 
 /// The bytes in pieces; `kept` is dropped with the last of them.
-fn in_pieces<K>(bytes: Bytes, kept: K) -> impl Stream<Item = Result<Bytes, Infallible>> {
+pub(crate) fn in_pieces<K>(bytes: Bytes, kept: K) -> impl Stream<Item = Result<Bytes, Infallible>> {
     stream::unfold((bytes, kept), async |(mut bytes, kept)| {
         let length = bytes.len().min(PIECE);
         (length > 0).then(|| (Ok(bytes.split_to(length)), (bytes, kept)))

@@ -12,6 +12,7 @@ use axum::{
 use serde::{Serialize, de::DeserializeOwned};
 use serde_json::json;
 
+pub(super) use self::download::in_pieces;
 use self::download::{File, media_type, serve};
 use super::{
     jobs::OwnedJob,

@@ -6,6 +6,7 @@ mod auth_mode;
 mod cached;
 mod checks;
 mod export_queue;
+mod held_bytes;
 mod in_flight;
 mod reservations;
 mod slots;
@@ -17,6 +18,7 @@ pub(super) use self::{
     auth_mode::AuthMode,
     checks::{Checks, OK},
     export_queue::{ExportQueue, ExportTurn},
+    held_bytes::{Held, HeldBytes},
     in_flight::{IdempotencyGuard, InFlight},
     reservations::{DiskReservation, Reservation, ReservationError, Reservations},
     slots::{Capacity, Slot, Slots},

@@ -9,6 +9,7 @@ pub(super) mod sequence;
 use std::sync::Arc;
 
 use axum::{
+    body::Body,
     extract::State,
     http::{HeaderMap, HeaderName, HeaderValue, header},
     response::{IntoResponse as _, Response},
@@ -21,13 +22,14 @@ use self::{
 };
 use super::{
     config::RequestLimits,
-    files::{document, file_of, take_lambda},
+    files::{document, file_of, in_pieces, take_lambda},
     jobs::OwnedJob,
     problem::{Answer as _, ApiResult, ProblemResponse},
     rendering::{
         Admission, Format, FrameSpec, Output, Picture, PictureKind, RenderFrame, SettingError, Timing,
     },
     request::{ApiJson, Etag, JsonBody, Parameters, not_modified, prefers},
+    shared::Held,
     state::AppState,
 };
 use crate::{
@@ -136,14 +138,20 @@ async fn single(state: &AppState, caller: &Caller, frame: RenderFrame) -> ApiRes
             state.view_renderer.picture(&slot, frame, || ()).await?
         }
     };
-    Ok(answer(picture, &timing))
+    let held = state.held_bytes.hold(picture.bytes.len())?;
+    Ok(answer(picture, &timing, held))
 }
 
-fn answer(picture: Picture, timing: &Timing) -> Response {
+fn answer(picture: Picture, timing: &Timing, held: Held) -> Response {
     let media_type = HeaderValue::from_static(picture.media_type());
     let scale = picture.depth_scale().and_then(|scale| HeaderValue::try_from(scale.to_string()).ok());
-    let mut response = picture.bytes.into_response();
+    let length = picture.bytes.len();
+    let mut response = match held.is_counted() {
+        true => Body::from_stream(in_pieces(picture.bytes, held)).into_response(),
+        false => picture.bytes.into_response(),
+    };
     let headers = response.headers_mut();
+    headers.insert(header::CONTENT_LENGTH, length.into());
     headers.insert(header::CONTENT_TYPE, media_type);
     headers.insert(SERVER_TIMING, timing.header());
     if let Some(scale) = scale {

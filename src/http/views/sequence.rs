@@ -161,13 +161,13 @@ async fn shown(
             let size = stream.frames[0].spec.camera.intrinsics;
             let file = WebpAnimation { rate, size: [size.width, size.height] };
             let frames = stream.answer(state, slot, BodyFormat::WebpFrames(file.clone())).await?;
-            whole(&file, frames).await
+            whole(state, &file, frames).await
         }
     }
 }
 
 /// The response with the whole file, which begins with its length, once all frames are there.
-async fn whole(file: &WebpAnimation, frames: Response) -> ApiResult {
+async fn whole(state: &AppState, file: &WebpAnimation, frames: Response) -> ApiResult {
     let (mut head, body) = frames.into_parts();
     let (mut parts, mut length) = (vec![Bytes::new()], 0);
     let mut body = body.into_data_stream();
@@ -184,10 +184,13 @@ async fn whole(file: &WebpAnimation, frames: Response) -> ApiResult {
     let begin = file.head(length).map_err(|error| failed(&error))?;
     head.headers.insert(header::CONTENT_LENGTH, (begin.len() + length).into());
     parts[0] = begin.into();
-    Ok(Response::from_parts(
-        head,
-        Body::from_stream(stream::iter(parts.into_iter().map(Ok::<_, Infallible>))),
-    ))
+    let held = state.held_bytes.hold(length)?;
+    // The room is given back with the last part.
+    let sent = parts.into_iter().map(move |part| {
+        let _ = &held;
+        Ok::<_, Infallible>(part)
+    });
+    Ok(Response::from_parts(head, Body::from_stream(stream::iter(sent))))
 }
 
 /// A number of a JSON body from 1 to `max`, or `default`.

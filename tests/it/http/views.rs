@@ -3,11 +3,12 @@
 use serde_json::{Value, json};
 
 use glam::{DQuat, DVec3};
-use tcgs::domain::Pose;
+use tcgs::{domain::Pose, http::config::RequestLimits};
 
 use super::sequences::parts;
 use crate::support::{
     contract::Coverage,
+    eventually::eventually,
     fakes,
     server::{Answer, Server, Setup, picture as picture_of},
 };
@@ -222,6 +223,25 @@ async fn pictures_may_be_kept_in_as_much_memory_as_an_operator_says() {
         }
         assert_eq!(server.renderer.painted(), painted, "with {view_cache_bytes} bytes");
     }
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn large_pictures_for_clients_that_read_slowly_are_bounded_together() {
+    let limits = RequestLimits { held_bytes: 20 << 20, ..Setup::default().limits };
+    let server = Server::start_with(&Coverage::default(), Setup { limits, ..Setup::default() }).await;
+    let job = server.succeeded().await;
+    // 16 MiB of numbers, more than sockets take.
+    let large =
+        format!("{job}/view?position=4,0,0&look_at=0,0,0&width=4096&height=1024&output=alpha&format=npy");
+    let unread = server.open("GET", &large, |request| request).await;
+    assert_eq!(unread.status(), 200);
+    let detail = server.get(&large).await.expect_problem(503, "busy");
+    assert!(detail.contains("read slowly"), "{detail}");
+    server.get(&format!("{job}/view?frame=test/r_0")).await.expect(200);
+    drop(unread);
+    eventually("there is room again", async || server.get(&large).await.status == 200).await;
+    let whole = server.get(&large).await.expect(200);
+    assert_eq!(whole.header("content-length"), whole.body.len().to_string());
 }
 
 pub(super) async fn a_view_that_many_ask_for_at_once_is_rendered_once(coverage: Coverage) {
