@@ -124,16 +124,16 @@ async fn place(
     };
     let similarity = placement.similarity(&cameras).map_err(|error| refused(&error))?;
     let (ply, _) = kept(state, record, source, SceneFormat::Ply, None).await?;
-    // Kept until the last byte is sent: it bounds the files in memory.
+    // Kept by the thread, also if the client disconnects, and then until the last byte is sent: it bounds the files in memory.
     let turn = state.exports.turn(record.project).await?;
     let (services, runtime) = (state.services.clone(), Handle::current());
     let placed = spawn_blocking(move || {
         let ply = services.read(&runtime, ply.digest)?;
         let made = PlacedExport { format, up: placement.up, similarity, limit };
-        services.engine.place(&ply, &made, &cameras)
+        services.engine.place(&ply, &made, &cameras).map(|bytes| (bytes, turn))
     });
-    let placed = placed.await;
-    let bytes = placed??.into();
+    let (bytes, turn) = placed.await??;
+    let bytes = bytes.into();
     let File { media_type, name, .. } =
         File::new(record.job.id, ArtifactKind::Scene(format), source.lambda, source.blob);
     Ok((MadeFile { bytes, media_type, name, kept: turn }, similarity))

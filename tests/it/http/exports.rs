@@ -289,6 +289,26 @@ pub(super) async fn few_exports_are_made_at_a_time_and_each_for_all_who_ask(cove
     server.get(&format!("{job}/export?format=ply")).await.expect(200);
 }
 
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_placed_export_keeps_its_turn_while_it_is_made_also_if_its_client_has_gone() {
+    let limits =
+        tcgs::http::config::RequestLimits { exports: 1, exports_waiting: 0, ..Setup::default().limits };
+    let server = Server::start_with(&Coverage::default(), Setup { limits, ..Setup::default() }).await;
+    let path = format!("{}/export?format=spz&limit_gaussians=", server.succeeded().await);
+    server.get(&format!("{path}2")).await.expect(200);
+    let mut gone = tokio::net::TcpStream::connect(server.address).await.expect("a connection");
+    let request = format!("GET {path}1 HTTP/1.1\r\nHost: localhost\r\n\r\n");
+    gone.write_all(request.as_bytes()).await.expect("sent");
+    server.exporter.gate.someone_waits().await;
+    drop(gone);
+    for _ in 0..20 {
+        server.get(&format!("{path}2")).await.expect_problem(503, "busy");
+        tokio::time::sleep(std::time::Duration::from_millis(10)).await;
+    }
+    server.exporter.gate.open();
+    eventually("the turn is given back", async || server.get(&format!("{path}2")).await.status == 200).await;
+}
+
 pub(super) async fn one_project_leaves_places_for_the_exports_of_others(coverage: Coverage) {
     let limits =
         tcgs::http::config::RequestLimits { exports: 1, exports_waiting: 1, ..Setup::default().limits };
