@@ -123,7 +123,7 @@ struct QuotaFlags {
     #[arg(long, value_name = "N", env = "TCGS_REQUESTS_PER_MINUTE")]
     requests_per_minute: Option<NonZeroU32>,
 
-    /// Storage for a project's scenes, uploads and jobs [default: unlimited]
+    /// Storage for a project's datasets, uploads and jobs [default: unlimited]
     #[arg(long, value_name = "BYTES", env = "TCGS_QUOTA_BYTES")]
     quota_bytes: Option<Bytes>,
 

@@ -70,7 +70,7 @@ problem_types! {
     NotReady = 503, "not-ready", "Not ready";
     Internal = 500, "internal", "Internal error";
     JobNotFound = 404, "job-not-found", "No such job";
-    SceneNotFound = 404, "scene-not-found", "No such scene";
+    SceneNotFound = 404, "scene-not-found", "No such dataset";
     UploadNotFound = 404, "upload-not-found", "No such upload";
     ArtifactNotFound = 404, "artifact-not-found", "No such file";
     ProjectNotFound = 404, "project-not-found", "No such project";
@@ -84,7 +84,7 @@ problem_types! {
     JobActive = 409, "job-active", "The job is active";
     JobFinished = 409, "job-finished", "The job has finished";
     JobNotRetryable = 409, "job-not-retryable", "The job cannot be retried";
-    SceneInUse = 409, "scene-in-use", "The scene is in use";
+    SceneInUse = 409, "scene-in-use", "The dataset is in use";
     TusVersion = 412, "tus-version", "Other version of tus";
     OffsetMismatch = 409, "offset-mismatch", "Offset mismatch";
     ChecksumMismatch = 460, "checksum-mismatch", "Checksum mismatch";
