@@ -30,7 +30,10 @@ use crate::{
     },
     ingest,
     pipeline::JobError,
-    poses::{Given, PoseEstimator, PoseOptions, PosesError, SEARCH_FOLDER},
+    poses::{
+        Given, PoseEstimator, PoseOptions, PoseProgress, PoseStage, PosesError, SEARCH_FOLDER,
+        while_reporting,
+    },
     store::{BlobCopy, BlobError, BlobRef, Lease, Outcome, StoreError},
 };
 
@@ -153,8 +156,19 @@ fn archive(
     let path = work.join("dataset.zip");
     let io = |error| PosesError::Io { what: "cannot write the archive of the dataset", error };
     let mut file = fs::File::create(&path).map_err(io)?;
-    ingest::pack(&found.folder, &mut file).map_err(|problem| io(io::Error::other(problem.to_string())))?;
-    file.sync_all().map_err(io)?;
+    // A copy of all photographs, which may take long on a slow disk.
+    let registered = found.report.registered.len() as u64;
+    let done = PoseProgress {
+        stage: PoseStage::Mapping,
+        done: registered,
+        total: found.report.photographs as u64,
+        reprojection_error: Some(found.report.reprojection_error),
+    };
+    while_reporting(done, report, || {
+        ingest::pack(&found.folder, &mut file).map_err(io::Error::other)?;
+        file.sync_all()
+    })
+    .map_err(io)?;
     Ok(path)
 }
 
@@ -245,7 +259,9 @@ fn job_error(error: PosesError) -> JobError {
         PosesError::Io { error, .. } if crate::store::is_disk_full(&error) => {
             JobError::Hold(Problem::new(ProblemType::StorageFull, error.to_string()))
         }
-        PosesError::Io { .. } | PosesError::Died { .. } => JobError::Retry(error.into()),
+        PosesError::Io { .. } | PosesError::Died { .. } | PosesError::FramesDied { .. } => {
+            JobError::Retry(error.into())
+        }
         PosesError::Unavailable { .. } | PosesError::VideoUnavailable { .. } => JobError::Hold(error.into()),
         other => JobError::Fail(other.into()),
     }

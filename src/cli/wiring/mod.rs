@@ -85,7 +85,7 @@ fn named(problem: Problem, path: &Path) -> Problem {
 
 /// Writes a folder as the zip that a service takes.
 pub(crate) fn pack(folder: &Path, archive: &mut std::fs::File) -> Result<(), Problem> {
-    ingest::pack(folder, archive).map_err(|problem| named(problem, folder))
+    ingest::pack(folder, archive).map_err(|error| named(error.into(), folder))
 }
 
 /// Checks a dataset without reading its pixels.

@@ -12,7 +12,7 @@ use super::{
     error_text::{missing_images, photographs_alone},
     limits::Limits,
 };
-use crate::domain::{Bytes, CameraError, Problem, ProblemType};
+use crate::domain::{Bytes, CameraError, Problem, ProblemType, is_no_space};
 
 /// Why a dataset is refused, and which file.
 #[derive(Debug, Error)]
@@ -462,7 +462,10 @@ pub enum IngestErrorKind {
     },
     /// The temporary file cannot be written.
     #[error("the photographs do not fit into memory, and no temporary file can be written: {0}")]
-    Spill(io::Error),
+    Spill(#[source] io::Error),
+    /// A file that is made of the dataset's cannot be written.
+    #[error("a file for the search of cameras cannot be written: {0}")]
+    Write(#[source] io::Error),
     /// The caller asked to stop.
     #[error("the reading of the dataset was stopped")]
     Stopped,
@@ -490,7 +493,8 @@ impl IngestErrorKind {
             Self::DecodeMemory { .. } => ProblemType::HostMemory,
             Self::Stopped => ProblemType::ReadingStopped,
             Self::SpillFull { .. } => ProblemType::StorageFull,
-            Self::Spill(_) => ProblemType::StorageFailed,
+            Self::Write(error) if is_no_space(error) => ProblemType::StorageFull,
+            Self::Spill(_) | Self::Write(_) => ProblemType::StorageFailed,
             Self::NotAZip(_) => ProblemType::NotAZip,
             Self::CorruptArchive(_)
             | Self::Encrypted

@@ -85,7 +85,7 @@ pub use self::{
     checker::DatasetChecker,
     error::{IngestError, IngestErrorKind, MissingHint},
     limits::Limits,
-    pack::pack,
+    pack::{PackError, pack},
     provenance::POSES_RECORD,
     sparse_model::sparse_model,
     unposed::Unposed,

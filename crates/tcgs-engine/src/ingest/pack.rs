@@ -8,39 +8,73 @@ use std::{
     path::Path,
 };
 
+use thiserror::Error;
 use zip::{CompressionMethod, ZipWriter, result::ZipError, write::SimpleFileOptions};
 
-use super::{Limits, folder, names::is_os_metadata};
+use super::{IngestError, Limits, folder, names::is_os_metadata};
 use crate::domain::{Problem, ProblemType};
 
 /// Files whose own format has no room left.
 const PACKED: [&str; 5] = ["jpg", "jpeg", "png", "webp", "zip"];
 
+/// Why a folder is not packed.
+#[derive(Debug, Error)]
+pub enum PackError {
+    /// The folder cannot be read, or has more files than a dataset may have.
+    #[error(transparent)]
+    Folder(#[from] IngestError),
+    /// Nothing that a dataset could have.
+    #[error("there are no files in it that a dataset could have")]
+    Empty,
+    /// A file cannot be read.
+    #[error("{error}")]
+    Unreadable {
+        /// Its name below the folder.
+        file: String,
+        /// The cause.
+        #[source]
+        error: io::Error,
+    },
+    /// The archive cannot be written.
+    #[error("the archive of the dataset cannot be written: {0}")]
+    Unwritable(#[source] ZipError),
+}
+
+impl From<PackError> for Problem {
+    fn from(error: PackError) -> Self {
+        let detail = error.to_string();
+        match error {
+            PackError::Folder(error) => error.into(),
+            PackError::Empty => Problem::new(ProblemType::InvalidDataset, detail),
+            PackError::Unreadable { file, .. } => {
+                Problem::new(ProblemType::UnreadableInput, detail).in_file(&file)
+            }
+            PackError::Unwritable(_) => Problem::new(ProblemType::UnwritableOutput, detail),
+        }
+    }
+}
+
 /// Writes the regular files under `folder` into `archive`; hidden ones, links and litter stay behind.
 ///
 /// # Errors
-/// 413 for a folder of more files than a dataset may have, 422 for what cannot be read or is empty, 507 where the archive cannot
-/// be written.
-pub fn pack(folder: &Path, archive: &mut (impl Write + Seek)) -> Result<(), Problem> {
+/// A folder of more files than a dataset may have, or of none; what cannot be read; an archive that cannot be written.
+pub fn pack(folder: &Path, archive: &mut (impl Write + Seek)) -> Result<(), PackError> {
     let listing = folder::list(folder, &Limits::default())?;
     let mut names: Vec<&str> = listing.files.iter().map(|(name, _)| &**name).collect();
     names.retain(|name| !is_os_metadata(name) && !name.split('/').any(|part| part.starts_with('.')));
     names.sort_unstable();
     if names.is_empty() {
-        let detail = "there are no files in it that a dataset could have";
-        return Err(Problem::new(ProblemType::InvalidDataset, detail));
+        return Err(PackError::Empty);
     }
     let mut zip = ZipWriter::new(BufWriter::new(archive));
     for name in names {
-        let unreadable =
-            |error: &io::Error| Problem::new(ProblemType::UnreadableInput, error.to_string()).in_file(name);
-        let mut file = File::open(folder.join(name)).map_err(|error| unreadable(&error))?;
-        let length = file.metadata().map_err(|error| unreadable(&error))?.len();
-        zip.start_file(name, options(name, length)).map_err(|error| unwritable(&error))?;
-        io::copy(&mut file, &mut zip).map_err(|error| unwritable(&ZipError::Io(error)))?;
+        let unreadable = |error| PackError::Unreadable { file: name.to_owned(), error };
+        let mut file = File::open(folder.join(name)).map_err(unreadable)?;
+        let length = file.metadata().map_err(unreadable)?.len();
+        zip.start_file(name, options(name, length)).map_err(PackError::Unwritable)?;
+        io::copy(&mut file, &mut zip).map_err(unwritable)?;
     }
-    let mut rest = zip.finish().map_err(|error| unwritable(&error))?;
-    rest.flush().map_err(|error| unwritable(&ZipError::Io(error)))
+    zip.finish().map_err(PackError::Unwritable)?.flush().map_err(unwritable)
 }
 
 pub(super) fn options(name: &str, length: u64) -> SimpleFileOptions {
@@ -54,9 +88,8 @@ pub(super) fn options(name: &str, length: u64) -> SimpleFileOptions {
         .large_file(length > u64::from(u32::MAX))
 }
 
-fn unwritable(error: &ZipError) -> Problem {
-    let detail = format!("the archive of the dataset cannot be written: {error}");
-    Problem::new(ProblemType::UnwritableOutput, detail)
+fn unwritable(error: io::Error) -> PackError {
+    PackError::Unwritable(ZipError::Io(error))
 }
 
 #[cfg(test)]
@@ -102,12 +135,36 @@ mod tests {
     }
 
     #[test]
+    fn a_full_disk_is_known_as_the_cause() {
+        struct Full;
+        impl Write for Full {
+            fn write(&mut self, _: &[u8]) -> io::Result<usize> {
+                Err(io::ErrorKind::StorageFull.into())
+            }
+            fn flush(&mut self) -> io::Result<()> {
+                Ok(())
+            }
+        }
+        impl Seek for Full {
+            fn seek(&mut self, _: io::SeekFrom) -> io::Result<u64> {
+                Ok(0)
+            }
+        }
+        let root = tempfile::tempdir().expect("a folder");
+        fs::write(root.path().join("a.png"), [7; 1 << 17]).expect("writes");
+        let error = pack(root.path(), &mut Full).expect_err("no room");
+        assert!(crate::domain::is_no_space(&error), "{error:?}");
+        assert_eq!(Problem::from(error).status, 507);
+    }
+
+    #[test]
     fn a_folder_of_nothing_is_refused() {
         let root = tempfile::tempdir().expect("a folder");
         let error = pack(root.path(), &mut Cursor::new(Vec::new())).expect_err("nothing to send");
+        let error = Problem::from(error);
         assert_eq!(error.status, 422);
         let missing = root.path().join("missing");
-        let error = pack(&missing, &mut Cursor::new(Vec::new())).expect_err("no folder");
+        let error = Problem::from(pack(&missing, &mut Cursor::new(Vec::new())).expect_err("no folder"));
         assert_eq!((error.status, error.file), (500, None), "the folder's own name is the caller's to add");
     }
 }

@@ -25,11 +25,11 @@ const MODEL: &str = "sparse/0/";
 pub fn sparse_model(path: &Path) -> Result<Vec<u8>, IngestError> {
     let tree = Tree::open(Purpose::Load, path, &Limits::default())?;
     let mut archive = ZipWriter::new(Cursor::new(Vec::new()));
-    let unwritten = |error: ZipError| IngestErrorKind::Spill(io::Error::other(error));
+    let unwritten = |error: ZipError| IngestErrorKind::Write(io::Error::other(error));
     for name in tree.names().filter(|name| name.starts_with(MODEL) || *name == POSES_RECORD) {
         let content = tree.read(name)?;
         archive.start_file(name, options(name, content.len() as u64)).map_err(unwritten)?;
-        archive.write_all(&content).map_err(IngestErrorKind::Spill)?;
+        archive.write_all(&content).map_err(IngestErrorKind::Write)?;
     }
     Ok(archive.finish().map_err(unwritten)?.into_inner())
 }

@@ -81,24 +81,32 @@ impl Unposed {
         }
     }
 
-    /// Writes the files into the folder `to`, by their names.
+    /// Writes the files into the folder `to`, by their names. `should_continue` is asked before each of them.
     ///
     /// # Errors
-    /// Files that cannot be read, are too large, or cannot be written.
-    pub fn extract(&self, path: &Path, to: &Path) -> Result<(), IngestError> {
+    /// Files that cannot be read, are too large, or cannot be written; [`IngestErrorKind::Stopped`].
+    pub fn extract(
+        &self,
+        path: &Path,
+        to: &Path,
+        should_continue: &dyn Fn() -> bool,
+    ) -> Result<(), IngestError> {
         let tree = Tree::open(Purpose::Load, path, &Limits::default())?;
         let (names, masks) = match self {
             Self::Photographs { names, masks } => (names.as_slice(), masks.as_slice()),
             Self::Video(name) => (slice::from_ref(name), &[][..]),
         };
         for name in names.iter().chain(masks) {
+            if !should_continue() {
+                return Err(IngestErrorKind::Stopped.into());
+            }
             let copied = tree.parse_unused(name, u64::MAX, |reader, _| {
                 let file = to.join(name);
                 let written = (|| -> io::Result<()> {
                     fs::create_dir_all(file.parent().unwrap_or(to))?;
                     io::copy(reader, &mut File::create(&file)?).map(drop)
                 })();
-                written.map_err(IngestErrorKind::Spill)
+                written.map_err(IngestErrorKind::Write)
             });
             copied?;
         }
@@ -264,7 +272,10 @@ mod tests {
         assert_eq!(check().expect_err("no photograph").file.as_deref(), Some("DCIM/4.png"));
 
         let to = folder.path().join("to");
-        Unposed::find(&given).expect("photographs").extract(&given, &to).expect("extracted");
+        let unposed = Unposed::find(&given).expect("photographs");
+        let stopped = unposed.extract(&given, &to, &|| false).expect_err("stopped");
+        assert!(matches!(stopped.kind, IngestErrorKind::Stopped) && !to.exists());
+        unposed.extract(&given, &to, &|| true).expect("extracted");
         assert_eq!(fs::read(to.join("DCIM/1.png")).expect("there"), photograph(4));
     }
 

@@ -53,7 +53,7 @@ impl Unposed {
             let header = images::header(&tree, name, &limits)?;
             let masks = reader.of_frame(files, &header, header.size, Orientation::NoTransforms)?;
             let plane = hidden(&tree, &masks, header.size, &limits)?;
-            write(&plane, &to.join(format!("{name}.png"))).map_err(IngestErrorKind::Spill)?;
+            write(&plane, &to.join(format!("{name}.png"))).map_err(IngestErrorKind::Write)?;
         }
         Ok(with_masks)
     }

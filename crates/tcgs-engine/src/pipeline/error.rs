@@ -35,7 +35,7 @@ impl From<ingest::IngestError> for JobError {
             IngestErrorKind::Stopped => Self::Cancelled,
             IngestErrorKind::SpillFull { .. } => Self::Hold(error.into()),
             ref kind if is_no_space(kind) => Self::Hold(error.into()),
-            IngestErrorKind::Spill(_) => Self::Retry(error.into()),
+            IngestErrorKind::Spill(_) | IngestErrorKind::Write(_) => Self::Retry(error.into()),
             IngestErrorKind::Io(ref cause) if cause.raw_os_error().is_some() => Self::Retry(error.into()),
             _ => Self::Fail(error.into()),
         }
@@ -90,12 +90,16 @@ mod tests {
     #[test]
     fn a_full_disk_holds_a_job_and_a_broken_one_costs_it_an_attempt() {
         let spill = |kind: io::ErrorKind| IngestErrorKind::Spill(kind.into());
+        let write = |kind: io::ErrorKind| IngestErrorKind::Write(kind.into());
         for (error, expected) in [
             (IngestErrorKind::SpillFull { bytes: 3 }, "hold"),
             (IngestErrorKind::Io(io::ErrorKind::StorageFull.into()), "hold"),
             (IngestErrorKind::Io(io::ErrorKind::QuotaExceeded.into()), "hold"),
             (IngestErrorKind::Io(io::Error::other(io::Error::from(io::ErrorKind::StorageFull))), "hold"),
             (spill(io::ErrorKind::PermissionDenied), "retry"),
+            (spill(io::ErrorKind::StorageFull), "hold"),
+            (write(io::ErrorKind::PermissionDenied), "retry"),
+            (write(io::ErrorKind::StorageFull), "hold"),
             // EIO.
             (IngestErrorKind::Io(io::Error::from_raw_os_error(5)), "retry"),
             (IngestErrorKind::NoImages, "fail"),

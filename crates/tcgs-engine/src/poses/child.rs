@@ -15,7 +15,7 @@ use serde::{Deserialize, Serialize};
 
 use super::{
     NetworkIsolation, PoseLimits, PoseOptions, PoseProgram, PoseProgress, PoseReport, PosesError,
-    running::Running,
+    keep_alive::REPORT_AGAIN, room::full_disk_or, running::Running,
 };
 use crate::{
     domain::CancelFlag,
@@ -43,9 +43,6 @@ pub fn find_colmap() -> PathBuf {
 
 /// How often the caller's wish to stop is looked at.
 const POLL: Duration = Duration::from_millis(100);
-
-/// Time after which progress is reported again while it stays the same.
-const REPORT_AGAIN: Duration = Duration::from_secs(30);
 
 /// Most bytes of the child's own messages that an error repeats.
 const MAX_MESSAGE: u64 = 1000;
@@ -284,11 +281,14 @@ impl PoseEstimator {
             detail: error.to_string(),
         })?;
         let mut running = Running(child);
-        let answer = self.follow(&running.lines(), report, cancel)?;
+        let answer = match self.follow(&running.lines(), report, cancel) {
+            Err(error @ PosesError::Died { .. }) => return Err(full_disk_or(error, work)),
+            answer => answer?,
+        };
         let status = running.0.wait().map_err(io("cannot wait for the search for cameras"))?;
         answer.ok_or_else(|| {
             let detail = last_words(&work.join("messages.txt"));
-            PosesError::Died { status: status.to_string(), detail }
+            full_disk_or(PosesError::Died { status: status.to_string(), detail }, work)
         })
     }
 

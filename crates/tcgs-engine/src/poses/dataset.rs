@@ -7,17 +7,19 @@
 use std::{
     fs, io,
     path::{Path, PathBuf},
+    time::Instant,
 };
 
 use super::{
-    PoseEstimator, PoseOptions, PoseProgress, PoseReport, PosesError,
+    PoseEstimator, PoseOptions, PoseProgress, PoseReport, PoseStage, PosesError,
     child::MASKS,
     frames::{Caller, Video},
+    keep_alive::while_reporting,
     natural_order,
 };
 use crate::{
     domain::{CancelFlag, MaskSource},
-    ingest::{IngestErrorKind, POSES_RECORD, Unposed},
+    ingest::{IngestError, IngestErrorKind, POSES_RECORD, Unposed},
 };
 
 /// Photographs whose cameras were found.
@@ -54,38 +56,43 @@ impl PoseEstimator {
         let unposed = Unposed::find(given)?.with_masks(mask_source);
         let masks = work.join(MASKS);
         remove(&masks).map_err(io("cannot clear the folder to work in"))?;
-        let should_continue = || !cancel.is_cancelled();
-        unposed.write_masks(given, mask_source, &masks, &should_continue).map_err(|error| {
-            match error.kind {
-                IngestErrorKind::Stopped => PosesError::Cancelled,
-                _ => error.into(),
+        let end = Instant::now() + self.limits.time;
+        let should_continue = || !cancel.is_cancelled() && Instant::now() < end;
+        let (stage, total) = match &unposed {
+            Unposed::Photographs { names, .. } => (PoseStage::Features, names.len()),
+            Unposed::Video(_) => (PoseStage::Frames, options.frames),
+        };
+        let to_come = PoseProgress { stage, done: 0, total: total as u64, reprojection_error: None };
+        let is_copied = !(given.is_dir() && matches!(unposed, Unposed::Photographs { .. }));
+        while_reporting(to_come, report, || {
+            unposed.write_masks(given, mask_source, &masks, &should_continue)?;
+            if is_copied {
+                unposed.extract(given, &source, &should_continue)?;
             }
+            Ok(())
+        })
+        .map_err(|error: IngestError| match error.kind {
+            IngestErrorKind::Stopped if cancel.is_cancelled() => PosesError::Cancelled,
+            IngestErrorKind::Stopped => PosesError::TimedOut(self.limits.time),
+            _ => error.into(),
         })?;
         let mut kept = Vec::new();
         let photographs = match unposed {
-            Unposed::Photographs { names, masks } if given.is_dir() => {
-                kept = masks.into_iter().map(|name| (given.join(&name), name)).collect();
-                Photographs { folder: given.to_owned(), names }
+            Unposed::Photographs { names, masks } => {
+                let folder = if is_copied { source } else { given.to_owned() };
+                kept = masks.into_iter().map(|name| (folder.join(&name), name)).collect();
+                Photographs { folder, names }
             }
-            unposed => {
-                unposed.extract(given, &source)?;
-                match unposed {
-                    Unposed::Photographs { names, masks } => {
-                        kept = masks.into_iter().map(|name| (source.join(&name), name)).collect();
-                        Photographs { folder: source, names }
-                    }
-                    Unposed::Video(name) => {
-                        options.matching = options.matching.of_a_video();
-                        let video = Video {
-                            ffmpeg: &self.ffmpeg,
-                            path: &source.join(name),
-                            limits: self.limits,
-                            threads: options.threads,
-                        };
-                        let names = video.frames(&frames, options.frames, &mut Caller { report, cancel })?;
-                        Photographs { folder: frames, names }
-                    }
-                }
+            Unposed::Video(name) => {
+                options.matching = options.matching.of_a_video();
+                let video = Video {
+                    ffmpeg: &self.ffmpeg,
+                    path: &source.join(name),
+                    limits: self.limits,
+                    threads: options.threads,
+                };
+                let names = video.frames(&frames, options.frames, &mut Caller { report, cancel })?;
+                Photographs { folder: frames, names }
             }
         };
         let root = photographs.folder.clone();
@@ -98,7 +105,14 @@ impl PoseEstimator {
         }
         names.sort_by(|a, b| natural_order(a, b));
         let found = self.estimate(&photographs, &names, &search, options, report, cancel)?;
-        assemble(&folder, &photographs, &found, &kept).map_err(io("cannot write the dataset"))?;
+        let done = PoseProgress {
+            stage: PoseStage::Mapping,
+            done: found.registered.len() as u64,
+            total: names.len() as u64,
+            reprojection_error: Some(found.reprojection_error),
+        };
+        while_reporting(done, report, || assemble(&folder, &photographs, &found, &kept))
+            .map_err(io("cannot write the dataset"))?;
         Ok(PosedDataset { report: found, folder })
     }
 }

@@ -6,7 +6,7 @@ use thiserror::Error;
 
 use super::PYCOLMAP_VERSION;
 use crate::{
-    domain::{Problem, ProblemType},
+    domain::{Problem, ProblemType, is_no_space},
     ingest::IngestError,
 };
 
@@ -79,12 +79,21 @@ pub enum PosesError {
         /// The end of what it wrote.
         detail: String,
     },
+    /// ffmpeg was ended by a signal.
+    #[error("ffmpeg ended early while it took photographs of the video ({status}): {detail}")]
+    FramesDied {
+        /// How it ended.
+        status: String,
+        /// The end of what it wrote.
+        detail: String,
+    },
     /// A file or a process failed.
     #[error("{what}: {error}")]
     Io {
         /// What was tried.
         what: &'static str,
         /// The cause.
+        #[source]
         error: io::Error,
     },
     /// The caller asked to stop.
@@ -105,7 +114,8 @@ impl From<PosesError> for Problem {
             PosesError::NoOverlap(_) => ProblemType::NoOverlap,
             PosesError::TooFewRegistered { .. } => ProblemType::TooFewRegistered,
             PosesError::TimedOut(_) => ProblemType::PosesTimedOut,
-            PosesError::Died { .. } => ProblemType::PosesFailed,
+            PosesError::Died { .. } | PosesError::FramesDied { .. } => ProblemType::PosesFailed,
+            PosesError::Io { ref error, .. } if is_no_space(error) => ProblemType::StorageFull,
             PosesError::Io { .. } => ProblemType::StorageFailed,
             PosesError::Cancelled => ProblemType::Stopped,
         };

@@ -9,13 +9,15 @@ use std::{
     fs::{self, File},
     io::{BufReader, Read as _},
     path::{Path, PathBuf},
-    process::{Child, Command, Stdio},
+    process::{Child, Command, ExitStatus, Stdio},
     sync::mpsc::{self, RecvTimeoutError},
     thread,
     time::{Duration, Instant},
 };
 
-use super::{PoseLimits, PoseProgress, PoseStage, PosesError, child::last_words, running::Running};
+use super::{
+    PoseLimits, PoseProgress, PoseStage, PosesError, child::last_words, room::full_disk_or, running::Running,
+};
 use crate::domain::CancelFlag;
 
 /// Size at which sharpness is measured: enough to see the blur of a moving camera.
@@ -56,7 +58,8 @@ impl Video<'_> {
     /// Writes `count` frames as JPEG files into the folder `to`, or all if there are fewer. Returns their names in order.
     ///
     /// # Errors
-    /// [`PosesError::VideoUnavailable`], [`PosesError::VideoUnreadable`], [`PosesError::TimedOut`], [`PosesError::Cancelled`].
+    /// [`PosesError::VideoUnavailable`], [`PosesError::VideoUnreadable`], [`PosesError::FramesDied`], [`PosesError::TimedOut`],
+    /// [`PosesError::Cancelled`], [`PosesError::Io`] of a full disk.
     pub(super) fn frames(
         &self,
         to: &Path,
@@ -96,7 +99,7 @@ impl Video<'_> {
         };
         let names: Vec<String> = (1..=chosen.len()).map(name).collect();
         if !status.success() || !names.iter().all(|name| to.join(name).exists()) {
-            return Err(PosesError::VideoUnreadable(last_words(&messages)));
+            return Err(full_disk_or(failure(status, &messages), to));
         }
         fs::remove_file(&messages).map_err(io("cannot remove ffmpeg's messages"))?;
         (caller.report)(progress(names.len(), names.len()));
@@ -144,8 +147,8 @@ impl Video<'_> {
         let status =
             running.0.wait().map_err(|error| PosesError::Io { what: "cannot wait for ffmpeg", error })?;
         // A video that was cut off has frames until then.
-        if !status.success() && sharpness.is_empty() {
-            return Err(PosesError::VideoUnreadable(last_words(&messages)));
+        if is_killed(status) || (!status.success() && sharpness.is_empty()) {
+            return Err(full_disk_or(failure(status, &messages), to));
         }
         Ok(sharpness)
     }
@@ -200,6 +203,20 @@ impl Video<'_> {
             .stderr(messages)
             .spawn();
         child.map_err(io("cannot start ffmpeg"))
+    }
+}
+
+/// Whether a signal has ended a process, as for want of memory: its exit status is a number otherwise.
+fn is_killed(status: ExitStatus) -> bool {
+    status.code().is_none()
+}
+
+/// Why ffmpeg has failed: the video, unless ffmpeg did not end by itself.
+fn failure(status: ExitStatus, messages: &Path) -> PosesError {
+    let detail = last_words(messages);
+    match is_killed(status) {
+        true => PosesError::FramesDied { status: status.to_string(), detail },
+        false => PosesError::VideoUnreadable(detail),
     }
 }
 

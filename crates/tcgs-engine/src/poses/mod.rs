@@ -9,14 +9,17 @@ mod child;
 mod dataset;
 mod error;
 mod frames;
+mod keep_alive;
 mod natural_order;
 mod options;
+mod room;
 mod running;
 
 pub use child::{PoseEstimator, find_colmap, find_python};
 pub use dataset::{Given, PosedDataset, SEARCH_FOLDER};
 pub use error::PosesError;
 pub use frames::{ffmpeg_version, find_ffmpeg};
+pub use keep_alive::while_reporting;
 pub use natural_order::natural_order;
 pub use options::{DEFAULT_FRAMES, PoseLimits, PoseOptions};
 

@@ -205,6 +205,8 @@ def main():
     )
     found = [model for model in models.iterdir() if (model / "images.bin").exists()]
     if not found:
+        if status < 0:
+            fail("error", f"colmap mapper was ended by signal {-status}")
         if status != 0:
             print(f"colmap mapper ended with status {status}", file=sys.stderr)
         fail("no-overlap", "no two photographs overlap enough, from places far enough apart, to begin with")

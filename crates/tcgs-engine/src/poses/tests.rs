@@ -3,7 +3,7 @@
 use std::{fs, os::unix::fs::PermissionsExt as _, path::Path, time::Duration};
 
 use super::*;
-use crate::domain::{CancelFlag, Problem, ProblemType};
+use crate::domain::{CancelFlag, MaskSource, Problem, ProblemType};
 
 const OPTIONS: PoseOptions = PoseOptions {
     camera_model: CameraModel::SimpleRadial,
@@ -127,6 +127,33 @@ fn a_child_that_takes_too_long_or_is_no_longer_wanted_is_ended() {
     assert!(matches!(ended, Err(PosesError::Cancelled)));
 }
 
+#[test]
+fn an_ffmpeg_that_is_killed_is_not_taken_for_a_fault_of_the_video() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let (video, work) = (folder.path().join("v.mp4"), folder.path().join("work"));
+    fs::write(&video, b"\0\0\0\x14ftypisom").expect("a file");
+    let mut estimator = interpreter(folder.path(), "exit 1");
+    estimator.ffmpeg = folder.path().join("ffmpeg");
+    let died = |script: &str| {
+        fs::write(&estimator.ffmpeg, format!("#!/bin/sh\n{script}\n")).expect("a script");
+        fs::set_permissions(&estimator.ffmpeg, fs::Permissions::from_mode(0o755)).expect("executable");
+        let given = Given { path: &video, masks: &MaskSource::None };
+        let found = estimator.dataset(given, &work, OPTIONS, &mut |_| (), &CancelFlag::default());
+        Problem::from(found.expect_err("no cameras"))
+    };
+    // A frame of the first reading, in which sharpness is measured.
+    let frame = "head -c 518400 /dev/zero";
+    for (script, kind) in [
+        (format!("{frame}; kill -9 $$"), ProblemType::PosesFailed),
+        (format!("case \"$*\" in *pipe:1) {frame}; exit 0;; esac; kill -9 $$"), ProblemType::PosesFailed),
+        ("echo damaged >&2; exit 1".to_owned(), ProblemType::VideoRejected),
+        (format!("{frame}; exit 1"), ProblemType::VideoRejected),
+    ] {
+        let problem = died(&script);
+        assert!(problem.is(kind), "{script}: {problem}");
+    }
+}
+
 /// A program that speaks colmap's command line, and writes a model of three of four photographs.
 const COLMAP: &str = r#"#!/usr/bin/env python3
 import pathlib, sqlite3, struct, sys
@@ -226,6 +253,25 @@ fn a_colmap_stands_in_for_pycolmap_if_it_is_new_enough() {
             "model_orientation_aligner"
         ]
     );
+}
+
+#[test]
+fn a_colmap_that_is_killed_is_not_taken_for_photographs_that_do_not_overlap() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let work = folder.path().join("work");
+    fs::create_dir(&work).expect("a folder");
+    let estimator = with_colmap(folder.path(), "3.13.0");
+    let killed = "import os\n    os.kill(os.getpid(), 9)\n    print(\"Registering";
+    let script = fs::read_to_string(&estimator.colmap).expect("a script");
+    fs::write(&estimator.colmap, script.replace("print(\"Registering", killed)).expect("a script");
+    let names = ["a.jpg", "b.jpg", "c.jpg"].map(str::to_owned);
+    for name in &names {
+        image::GrayImage::new(8, 4).save(folder.path().join(name)).expect("written");
+    }
+    let cancel = CancelFlag::default();
+    let found = estimator.estimate(folder.path(), &names, &work, OPTIONS, &mut |_| (), &cancel);
+    let PosesError::Died { detail, .. } = found.expect_err("no cameras") else { panic!("another failure") };
+    assert!(detail.contains("signal 9"), "{detail}");
 }
 
 #[test]
