@@ -60,7 +60,7 @@ class Service:
 
     def once(self, method, path, **options):
         """One request and its answer, whatever its status."""
-        # The library counts sending a body as one step, so its time grows with the body. A scene is checked before it is answered.
+        # The library counts sending a body as one step, so its time grows with the body. A dataset is checked before it is answered.
         sending = len(options.get("data") or b"") / SLOWEST
         options.setdefault("timeout", sending + (600 if method == "POST" else 120))
         answer = self.session.request(method, self.base + path, allow_redirects=False, **options)
@@ -146,7 +146,7 @@ def make(service, path, wish):
 
 
 def upload(service, path, part=PART):
-    """Sends a zip in parts and returns the id of the scene that is made of it."""
+    """Sends a zip in parts and returns the id of the dataset that is made of it."""
     tus = {"Tus-Resumable": "1.0.0"}
     size = os.path.getsize(path)
 
@@ -195,7 +195,7 @@ def upload(service, path, part=PART):
                 breaks += 1
                 if breaks > TRIES:
                     raise Refused(f"the upload broke off at byte {offset} of {size}")
-    return make(service, "/v1/scenes", {"upload_id": upload_id})["id"]
+    return make(service, "/v1/datasets", {"upload_id": upload_id})["id"]
 
 
 def events(lines):
@@ -306,8 +306,8 @@ def main():
             options[name] = value
 
     service = Service(arguments.server, arguments.pause)
-    scene = upload(service, arguments.dataset, arguments.part)
-    job = make(service, "/v1/jobs", {"scene_id": scene, **options})
+    dataset = upload(service, arguments.dataset, arguments.part)
+    job = make(service, "/v1/jobs", {"dataset_id": dataset, **options})
     print(f"job {job['id']}", file=sys.stderr)
     finished = follow(service, job["id"])
     download(service, finished["artifacts"][0], arguments.output)

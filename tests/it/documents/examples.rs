@@ -283,7 +283,7 @@ const TARGETS: [&str; 9] = [
     "POST /v1/uploads",
     "PATCH /v1/uploads",
     "HEAD /v1/uploads",
-    "POST /v1/scenes",
+    "POST /v1/datasets",
     "POST /v1/jobs",
     "/events",
     "/artifact",
