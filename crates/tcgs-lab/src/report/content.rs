@@ -4,6 +4,8 @@ use tcgs_codec::domain::{ByteCounts, CodingStages, RenderingError};
 use tcgs_engine::eval::Estimate;
 
 use super::{
+    against_first::against_first,
+    cells::{decimal, shown, signed},
     conventions, equal_seconds,
     plots::Plots,
     published::Comparison,
@@ -26,24 +28,6 @@ pub struct ReportContent<'a> {
     pub failed: Vec<String>,
     /// Runs of the matrix.
     pub wanted: usize,
-}
-
-/// A mean with its interval, or a dash.
-fn shown(estimate: Option<Estimate>, decimals: usize) -> String {
-    estimate.map_or_else(|| NONE.to_owned(), |estimate| estimate.text(decimals))
-}
-
-/// A figure, or a dash.
-fn decimal(value: Option<f64>, decimals: usize) -> String {
-    value.map_or_else(|| NONE.to_owned(), |value| format!("{value:.decimals$}"))
-}
-
-/// A difference with its interval, signed, with a star where the interval excludes zero.
-fn signed(estimate: Option<Estimate>, decimals: usize) -> String {
-    let Some(estimate) = estimate else { return NONE.to_owned() };
-    let sign = if estimate.mean >= 0.0 { "+" } else { "" };
-    let star = if estimate.excludes_zero() == Some(true) { " *" } else { "" };
-    format!("{sign}{}{star}", estimate.text(decimals))
 }
 
 /// A small mean with its interval, in powers of ten.
@@ -75,7 +59,7 @@ impl ReportContent<'_> {
         let sections = [
             ("Failed runs", self.failed()),
             ("Runs", self.runs()),
-            ("Against the first model", self.to_first()),
+            ("Against the first model", against_first(self.groups)),
             ("Equal seconds", self.equal_seconds()),
             ("Worst views", self.worst_views()),
             ("Quality against time", against_time),
@@ -112,43 +96,6 @@ impl ReportContent<'_> {
             row
         });
         vec![Block::Table(Table::new(head, rows))]
-    }
-
-    /// Every group against the first of its set and schedule, by pairs of equal seed.
-    fn to_first(&self) -> Vec<Block<'_>> {
-        let head = texts(&[
-            "set",
-            "model",
-            "against",
-            "steps",
-            "pairs",
-            "ΔPSNR dB",
-            "ΔSSIM",
-            "bytes, ratio",
-            "training s, ratio",
-            "decoding s, ratio",
-        ]);
-        let mut rows = Vec::new();
-        for (place, group) in self.groups.iter().enumerate() {
-            let is_first = |other: &&Group<'_>| other.is_comparable(group) && other.has_schedule_of(group);
-            let Some(first) = self.groups[..place].iter().find(is_first) else { continue };
-            let psnr = group.difference(first, |run| run.metrics.test.psnr);
-            rows.push(vec![
-                group.set().to_owned(),
-                group.name(),
-                first.name(),
-                group.steps(),
-                psnr.map_or(0, |psnr| psnr.runs).to_string(),
-                signed(psnr, 2),
-                signed(group.difference(first, |run| run.metrics.test.ssim), 4),
-                shown(group.ratio(first, |run| run.metrics.bytes.total as f64), 4),
-                shown(group.time_ratio(first, |run| run.metrics.seconds.train), 2),
-                shown(group.time_ratio(first, RunRecord::least_decode_seconds), 2),
-            ]);
-        }
-        let note = "Pairs of runs of equal seed, set and steps. * marks differences whose interval excludes zero. Ratios of times are \
-            taken only between runs of one session of this command, which makes models of one seed one after another.";
-        vec![Block::Table(Table::new(head, rows)), Block::Note(note.to_owned())]
     }
 
     /// How far the worst held-out views lie below the mean.
@@ -327,7 +274,8 @@ impl ReportContent<'_> {
         let mut blocks = vec![Block::Table(Table::new(head, rows)), Block::Note(note.to_owned())];
         let exports = self.exports();
         if !exports.rows.is_empty() {
-            let note = "Formats of plain Gaussians; anchors are baked for the training cameras first.";
+            let note =
+                "Formats of plain Gaussians; anchors are baked for the training cameras and refined first.";
             blocks.extend([
                 Block::Heading("Exports".to_owned()),
                 Block::Table(exports),

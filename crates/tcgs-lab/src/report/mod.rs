@@ -1,5 +1,7 @@
 //! Tables and charts of speed against error, from the records of a declared matrix of runs.
 
+pub mod against_first;
+mod cells;
 pub mod content;
 pub mod conventions;
 pub mod csv;
