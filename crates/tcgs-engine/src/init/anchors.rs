@@ -5,7 +5,8 @@ use thiserror::Error;
 
 use super::{
     VoxelRule, choose_lattice,
-    lattice::{coarse, neighbor_distances, voxelise},
+    lattice::{coarse, voxelise},
+    neighbors::neighbor_distances,
 };
 use crate::model::{AnchorRows, ModelShape, all_offsets};
 

@@ -2,7 +2,7 @@
 
 use rand::{Rng, RngExt};
 
-use super::{InitError, lattice::neighbor_distances};
+use super::{InitError, neighbors::neighbor_distances};
 use crate::model::{
     GaussianRows,
     gaussian_rows::{COLOR, LOG_SCALE, OPACITY, QUAT, SH_CONSTANT},

@@ -2,8 +2,7 @@
 
 use std::collections::BTreeSet;
 
-use kiddo::{ImmutableKdTree, SquaredEuclidean};
-
+use super::neighbors::neighbor_distances;
 use crate::domain::Lattice;
 
 /// Largest distance of a cell from the origin, in cells: the file format's position coder takes 21 bits per axis.
@@ -39,27 +38,6 @@ impl VoxelRule {
             VoxelRule::Fixed(edge) => edge,
         }
     }
-}
-
-/// Root of the mean squared distance to the three nearest other points, for each point (0 with fewer than 2 points).
-#[must_use]
-pub(super) fn neighbor_distances(points: &[[f32; 3]]) -> Vec<f32> {
-    if points.len() < 2 {
-        return vec![0.0; points.len()];
-    }
-    let Ok(tree) = ImmutableKdTree::<f32, 3>::new_from_slice(points) else {
-        return vec![0.0; points.len()];
-    };
-    let wanted = std::num::NonZero::new(points.len().min(4)).expect("at least two points");
-    points
-        .iter()
-        .map(|point| {
-            let near = tree.query(point).nearest_n::<SquaredEuclidean<f32>>(wanted).execute();
-            // The point itself is among them, at distance zero; one that is not finite has no neighbor at all.
-            let sum: f32 = near.iter().map(|neighbor| neighbor.distance).sum();
-            (sum / near.len().saturating_sub(1).max(1) as f32).sqrt()
-        })
-        .collect()
 }
 
 /// Median of the positive neighbor distances, or 0 if there is none.

@@ -8,6 +8,7 @@ mod anchors_from_points;
 mod first_anchors;
 mod gaussians;
 mod lattice;
+mod neighbors;
 mod principal;
 mod symmetric_eigen;
 
