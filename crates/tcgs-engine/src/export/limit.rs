@@ -11,6 +11,9 @@ use rayon::prelude::*;
 use super::bake::{BakeView, Disc, shares, thinned};
 use crate::domain::{Camera, GaussianScene};
 
+/// Views whose values are in memory at once: each has 8 bytes for every Gaussian.
+const VIEWS_AT_ONCE: usize = 16;
+
 /// The `count` Gaussians that `cameras`, which are in the world, show most, in the scene's order.
 #[must_use]
 pub fn limited(scene: &GaussianScene, cameras: &[Camera], count: usize) -> GaussianScene {
@@ -48,19 +51,68 @@ fn contributions(scene: &GaussianScene, cameras: &[Camera]) -> Vec<f64> {
         };
         discs.iter().enumerate().map(shown).collect()
     };
-    let mut sums = vec![0.0; scene.len()];
-    // View by view, so that the sums are the same with any number of threads.
-    let views: Vec<Vec<f64>> = thinned(cameras).par_iter().map(of_view).collect();
-    for view in views {
-        sums.iter_mut().zip(view).for_each(|(sum, value)| *sum += value);
+    summed(&thinned(cameras), scene.len(), of_view)
+}
+
+/// The sums of the `count` values of each view. They are added in the order of the views, so that the sums are the same with any number of
+/// threads.
+fn summed<V: Sync, I>(views: &[V], count: usize, of_view: impl Fn(&V) -> I + Sync) -> Vec<f64>
+where
+    I: IntoIterator<Item = f64> + Send,
+{
+    let mut sums = vec![0.0; count];
+    for block in views.chunks(VIEWS_AT_ONCE) {
+        let values: Vec<I> = block.par_iter().map(&of_view).collect();
+        for view in values {
+            sums.iter_mut().zip(view).for_each(|(sum, value)| *sum += value);
+        }
     }
     sums
 }
 
 #[cfg(test)]
 mod tests {
+    use std::sync::atomic::{AtomicUsize, Ordering};
+
     use super::*;
     use crate::export::bake::sphere;
+
+    /// Values of a view that count themselves while they are in memory.
+    struct Counted<'a> {
+        values: std::vec::IntoIter<f64>,
+        alive: &'a AtomicUsize,
+    }
+
+    impl Iterator for Counted<'_> {
+        type Item = f64;
+
+        fn next(&mut self) -> Option<f64> {
+            self.values.next()
+        }
+    }
+
+    impl Drop for Counted<'_> {
+        fn drop(&mut self) {
+            self.alive.fetch_sub(1, Ordering::SeqCst);
+        }
+    }
+
+    #[test]
+    fn values_of_few_views_are_in_memory_and_sums_have_the_order_of_the_views() {
+        let views: Vec<u32> = (0..101).collect();
+        let of_view = |view: &u32| (0..5).map(|index| f64::from(view * 7 + index).sin()).collect::<Vec<_>>();
+        let (alive, most) = (AtomicUsize::new(0), AtomicUsize::new(0));
+        let found = summed(&views, 5, |view| {
+            most.fetch_max(alive.fetch_add(1, Ordering::SeqCst) + 1, Ordering::SeqCst);
+            Counted { values: of_view(view).into_iter(), alive: &alive }
+        });
+        let mut expected = vec![0.0; 5];
+        for view in &views {
+            expected.iter_mut().zip(of_view(view)).for_each(|(sum, value)| *sum += value);
+        }
+        assert_eq!(found, expected);
+        assert!(most.into_inner() <= VIEWS_AT_ONCE);
+    }
 
     #[test]
     fn what_is_seen_most_is_kept_in_order() {
