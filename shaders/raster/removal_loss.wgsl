@@ -2,6 +2,9 @@
 // tile's list front to back, eight Gaussians at a time, and writes each intersection's sum once, so that the result does not depend on
 // scheduling.
 //
+// Where the run learns color corrections (CORRECTED), errors are those of the corrected render (METHOD.md §2.11). A change of its color
+// is the same linear map of a change of the render's.
+//
 // Without a Gaussian, what it adds to a pixel is gone, and what lies behind it is brighter by its share of what it hides. The sum goes
 // where `raster_backward` writes the gradient by the opacity, with zeros beside it, so that `gather` and `project_backward` bring it to
 // the Gaussian.
@@ -20,6 +23,10 @@
 @group(0) @binding(7) var<storage, read> photograph: array<u32>;
 // Nine numbers per slot, of which the third is the sum.
 @group(0) @binding(8) var<storage, read_write> slot_sums: array<f32>;
+#ifdef CORRECTED
+// The photograph's correction: three rows, each a row of A and then the component of b.
+@group(0) @binding(9) var<uniform> correction: array<vec4f, 3>;
+#endif
 
 const LANES: u32 = #{LANES}u;
 const CHUNK: u32 = 8u;
@@ -29,7 +36,7 @@ const PIXELS: u32 = TILE * TILE;
 var<workgroup> transmittances: array<f32, PIXELS>;
 // What the remaining Gaussians and the background add.
 var<workgroup> behinds: array<vec4f, PIXELS>;
-// Render minus photograph; the fourth is one where the pixel counts.
+// Render, corrected or not, minus photograph; the fourth is one where the pixel counts.
 var<workgroup> errors: array<vec4f, PIXELS>;
 var<workgroup> lasts: array<u32, PIXELS>;
 var<workgroup> stages: array<Stage, CHUNK>;
@@ -40,6 +47,15 @@ struct Stage {
     place: vec4f,
     conic: vec4f,
     color: vec4f,
+}
+
+// What the loss sees of a color, whose fourth component is one, or of a change of a color, whose fourth is zero.
+fn seen_by_loss(color: vec4f) -> vec3f {
+#ifdef CORRECTED
+    return vec3f(dot(correction[0], color), dot(correction[1], color), dot(correction[2], color));
+#else
+    return color.xyz;
+#endif
 }
 
 @compute @workgroup_size(LANES)
@@ -65,7 +81,7 @@ fn removal_loss(
             let i = position.y * view.size.x + position.x;
             seen = image[i];
             let wanted = unpack4x8unorm(photograph[i]);
-            error = vec4f(seen.xyz - wanted.xyz, select(0.0, 1.0, wanted.w > 0.5));
+            error = vec4f(seen_by_loss(vec4f(seen.xyz, 1.0)) - wanted.xyz, select(0.0, 1.0, wanted.w > 0.5));
             taken = last[i];
         }
         transmittances[p] = 1.0;
@@ -110,7 +126,8 @@ fn removal_loss(
                 if !(base + k >= end || power < 0.0 || alpha < ALPHA_MIN) {
                     let own = alpha * transmittance * splat.color.xyz;
                     behind = max(behind - own, vec3f(0.0));
-                    let without = error.xyz + behind * (alpha / (1.0 - alpha)) - own;
+                    let revealed = behind * (alpha / (1.0 - alpha));
+                    let without = error.xyz + seen_by_loss(vec4f(revealed, 0.0)) - seen_by_loss(vec4f(own, 0.0));
                     sums[k] += error.w * dot(abs(without) - abs(error.xyz), vec3f(1.0));
                     transmittance *= 1.0 - alpha;
                 }

@@ -36,7 +36,7 @@ pub use neural::{NeuralGaussians, list_visible};
 pub use packed_image::PackedImage;
 pub use plain::{DeviceGaussians, PlainGaussians, STATISTICS};
 pub use projection::{Projection, RasterSettings, TILE};
-pub use rasterizer::{ForwardPasses, RasterCounts, Rasterizer, sum_slots};
+pub use rasterizer::{CorrectionRows, ForwardPasses, RasterCounts, Rasterizer, sum_slots};
 #[cfg(target_arch = "wasm32")]
 pub use renderer::PageRenderer;
 pub use renderer::{Renderer, Views};

@@ -88,13 +88,19 @@ impl Kernels {
             tile_ranges: device.kernel(kernel_source!("tile_ranges"), &[])?,
             raster_forward: device.kernel(kernel_source!("raster_forward"), &forward)?,
             raster_backward: device.kernel(kernel_source!("raster_backward"), &subgroups)?,
-            removal_loss: device
-                .kernel(kernel_source!("removal_loss"), &[("LANES", device.variant().choose(16, 64))])?,
+            removal_loss: removal_loss_kernel(device, None)?,
             gather: gather_kernel(device)?,
             clear_culled: device.kernel(kernel_source!("clear_culled"), &[])?,
             project_backward: device.kernel(kernel_source!("project_backward"), &[])?,
         })
     }
+}
+
+/// The kernel of removal losses, with the definition of its variant for corrected renders or without.
+fn removal_loss_kernel(device: &Device, corrected: Option<(&str, u32)>) -> Result<Arc<Kernel>, GpuError> {
+    let lanes = ("LANES", device.variant().choose(16, 64));
+    let definitions: Vec<_> = std::iter::once(lanes).chain(corrected).collect();
+    device.kernel(kernel_source!("removal_loss"), &definitions)
 }
 
 /// A kernel that writes a row for each slot, and its input.
@@ -105,7 +111,13 @@ struct SlotPass<'a> {
     pixels: usize,
     /// Of the input.
     name: &'static str,
+    /// What the kernel binds last, if anything.
+    uniform: Option<Binding<'a>>,
 }
+
+/// An affine color correction of a photograph: three rows, each a row of A and then the component of b. The loss compares the photograph
+/// with `A c + b` of the render's colors c.
+pub type CorrectionRows = [[f32; 4]; 3];
 
 /// Renders Gaussians and differentiates the rendering.
 ///
@@ -331,13 +343,19 @@ impl Rasterizer {
         out: &GaussianGradients,
     ) -> Result<()> {
         let kernel = Arc::clone(&self.kernels.raster_backward);
-        let pass =
-            SlotPass { kernel: &kernel, input: d_image, pixels: d_image.len(), name: "the image's gradient" };
+        let pass = SlotPass {
+            kernel: &kernel,
+            input: d_image,
+            pixels: d_image.len(),
+            name: "the image's gradient",
+            uniform: None,
+        };
         self.over_slots(recorder, gaussians, camera, pass, out)
     }
 
     /// Records by how much the absolute error of the view against `photograph`, summed over channels and pixels that count, would
-    /// change without each Gaussian alone: the opacity's column of `out`. Follows the forward pass of the same camera and Gaussians.
+    /// change without each Gaussian alone: the opacity's column of `out`. The error is that of the render through the photograph's
+    /// `correction`, if it has one. Follows the forward pass of the same camera and Gaussians.
     ///
     /// # Errors
     /// As [`Rasterizer::backward`].
@@ -347,11 +365,22 @@ impl Rasterizer {
         gaussians: &Gaussians,
         camera: &Camera,
         photograph: &Buffer<u32>,
+        correction: Option<&CorrectionRows>,
         out: &GaussianGradients,
     ) -> Result<()> {
-        let kernel = Arc::clone(&self.kernels.removal_loss);
-        let pass =
-            SlotPass { kernel: &kernel, input: photograph, pixels: photograph.len(), name: "the photograph" };
+        let kernel = match correction {
+            // Few runs need it, so it is compiled on its first use.
+            Some(_) => removal_loss_kernel(&self.device, Some(("CORRECTED", 1)))?,
+            None => Arc::clone(&self.kernels.removal_loss),
+        };
+        let uniform = correction.map(|rows| recorder.uniform(rows)).transpose()?;
+        let pass = SlotPass {
+            kernel: &kernel,
+            input: photograph,
+            pixels: photograph.len(),
+            name: "the photograph",
+            uniform: uniform.as_ref().map(|uniform| uniform as Binding<'_>),
+        };
         self.over_slots(recorder, gaussians, camera, pass, out)
     }
 
@@ -387,21 +416,19 @@ impl Rasterizer {
         let view = &recorder.uniform(&[self.view])?;
         let (own, lists, image) = (&self.gaussians, &self.intersections, &self.image);
         let by_slot = if slots_in_spare { &lists.by_tile.1 } else { &lists.by_tile.0 };
-        recorder.dispatch(
-            pass.kernel,
-            &[
-                view,
-                &image.ranges,
-                &lists.list,
-                &by_slot.values,
-                &own.splats,
-                &image.image,
-                &image.last,
-                pass.input,
-                &slot_gradients,
-            ],
-            image.tiles,
-        );
+        let bindings: [Binding<'_>; 9] = [
+            view,
+            &image.ranges,
+            &lists.list,
+            &by_slot.values,
+            &own.splats,
+            &image.image,
+            &image.last,
+            pass.input,
+            &slot_gradients,
+        ];
+        let bindings: Vec<Binding<'_>> = bindings.into_iter().chain(pass.uniform).collect();
+        recorder.dispatch(pass.kernel, &bindings, image.tiles);
         let groups = self.groups(own.capacity);
         let ids =
             if own.sort_depth.ends_in_spare() { &own.by_depth.1.values } else { &own.by_depth.0.values };

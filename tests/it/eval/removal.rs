@@ -1,8 +1,8 @@
 //! What leaving out is said to cost is what it costs.
 
 use tcgs::{
-    domain::{AnchorScene, Background, Dataset, Frame, NearPlane, Scene, SceneFrame, SceneScale, Split},
-    eval::{RemovalCosts, removal_costs},
+    domain::{AnchorScene, Background, Dataset, NearPlane, Scene, SceneFrame, SceneScale, Split},
+    eval::{RemovalCosts, TrainView, removal_costs},
     render::Renderer,
     train::Trainer,
 };
@@ -22,34 +22,34 @@ fn trained(dataset: &Dataset) -> AnchorScene {
     }
 }
 
-fn seen(dataset: &Dataset) -> Vec<&Frame> {
-    dataset.split(Split::Train).collect()
+fn seen(dataset: &Dataset) -> Vec<TrainView<'_>> {
+    dataset.split(Split::Train).map(TrainView::from).collect()
 }
 
-fn costs(scene: &AnchorScene, frames: &[&Frame]) -> RemovalCosts {
-    removal_costs(&gpu(), scene, frames, BACKGROUND, &mut || true).expect("measures")
+fn costs(scene: &AnchorScene, views: &[TrainView<'_>]) -> RemovalCosts {
+    removal_costs(&gpu(), scene, views, BACKGROUND, &mut || true).expect("measures")
 }
 
 /// Sum of squared errors of the frames, in units of the largest sample.
-fn squared_error(renderer: &mut Renderer, scene: &AnchorScene, frames: &[&Frame]) -> f64 {
+fn squared_error(renderer: &mut Renderer, scene: &AnchorScene, views: &[TrainView<'_>]) -> f64 {
     renderer.replace(scene).expect("the same shape");
-    let of = |frame: &&Frame| {
+    let of = |TrainView { frame, .. }: &TrainView<'_>| {
         let render = renderer.render(&frame.camera).expect("renders");
         let photograph = frame.image.load().expect("in memory");
         let pairs = render.samples().iter().zip(photograph.over(BACKGROUND.rgb8()).samples().to_vec());
         pairs.map(|(a, b)| ((f64::from(*a) - f64::from(b)) / 255.0).powi(2)).sum::<f64>()
     };
-    frames.iter().map(of).collect::<Vec<f64>>().iter().sum()
+    views.iter().map(of).collect::<Vec<f64>>().iter().sum()
 }
 
 #[test]
 fn the_cost_of_an_anchor_is_what_the_views_lose_with_it() {
     let dataset = dataset();
-    let frames = seen(&dataset);
+    let views = seen(&dataset);
     let scene = trained(&dataset);
-    let costs = costs(&scene, &frames);
+    let costs = costs(&scene, &views);
     let mut renderer = Renderer::new(&gpu(), &scene, BACKGROUND).expect("a renderer");
-    let whole = squared_error(&mut renderer, &scene, &frames);
+    let whole = squared_error(&mut renderer, &scene, &views);
     let k = scene.offsets_per_anchor;
     let mut anchors: Vec<usize> = (0..scene.len()).collect();
     anchors.sort_by(|a, b| costs.anchors[*b].total_cmp(&costs.anchors[*a]));
@@ -58,7 +58,7 @@ fn the_cost_of_an_anchor_is_what_the_views_lose_with_it() {
     for anchor in anchors.iter().take(24) {
         let mut without = scene.clone();
         without.masks[anchor * k..(anchor + 1) * k].fill(false);
-        let lost = squared_error(&mut renderer, &without, &frames) - whole;
+        let lost = squared_error(&mut renderer, &without, &views) - whole;
         pairs.push((costs.anchors[*anchor], lost));
     }
     let (said, lost) = pairs.iter().fold((0.0, 0.0), |sum, pair| (sum.0 + pair.0, sum.1 + pair.1));
@@ -74,15 +74,15 @@ fn the_cost_of_an_anchor_is_what_the_views_lose_with_it() {
 #[test]
 fn what_no_view_shows_costs_nothing_and_figures_are_repeated() {
     let dataset = dataset();
-    let frames = seen(&dataset);
+    let views = seen(&dataset);
     let mut scene = trained(&dataset);
     let k = scene.offsets_per_anchor;
     scene.masks[..k].fill(false);
-    let once = costs(&scene, &frames);
+    let once = costs(&scene, &views);
     assert_eq!((once.offsets.len(), once.anchors.len()), (scene.len() * k, scene.len()));
     assert!(once.offsets[..k].iter().all(|cost| *cost == 0.0) && once.anchors[0] == 0.0);
-    assert_eq!(costs(&scene, &frames), once);
-    let none = removal_costs(&gpu(), &scene, &frames, BACKGROUND, &mut || false).expect("measures");
+    assert_eq!(costs(&scene, &views), once);
+    let none = removal_costs(&gpu(), &scene, &views, BACKGROUND, &mut || false).expect("measures");
     assert!(none.anchors.iter().all(|cost| *cost == 0.0), "stopped before the first view");
 }
 

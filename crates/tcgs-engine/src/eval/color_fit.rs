@@ -3,7 +3,7 @@
 //!
 //! Images have 8 bits before and after a correction. Only pixels that count are fitted and measured.
 
-use glam::{DMat4, DVec4};
+use glam::{DMat4, DVec3, DVec4};
 
 use super::{Target, quality::PSNR_CEILING};
 use crate::domain::{ColorFitScores, Image};
@@ -102,7 +102,38 @@ fn solved(matrix: DMat4, right: DVec4) -> DVec4 {
     solution
 }
 
+/// Rows as they are learnt.
+impl From<[[f32; 4]; 3]> for ColorFit {
+    fn from(rows: [[f32; 4]; 3]) -> Self {
+        Self { rows: rows.map(|row| DVec4::from(row.map(f64::from))) }
+    }
+}
+
 impl ColorFit {
+    /// A corrected color, not clamped.
+    #[must_use]
+    pub fn corrected(&self, color: [f32; 3]) -> [f32; 3] {
+        let color = DVec3::from(color.map(f64::from)).extend(1.0);
+        self.rows.map(|row| row.dot(color) as f32)
+    }
+
+    /// The gradient by a color, of the one by the corrected color: the product with the transpose of A.
+    #[must_use]
+    pub fn transposed(&self, gradient: [f32; 3]) -> [f32; 3] {
+        let parts = self.rows.iter().zip(gradient).map(|(row, d)| f64::from(d) * row.truncate());
+        parts.sum::<DVec3>().as_vec3().to_array()
+    }
+
+    /// A corrected RGB image; `None` for an image of other channels.
+    #[must_use]
+    pub fn image(&self, image: &Image) -> Option<Image> {
+        if image.channels() != 3 {
+            return None;
+        }
+        let samples = image.samples().chunks_exact(3).flat_map(|pixel| self.apply(pixel)).collect();
+        Image::new(image.width(), image.height(), 3, samples).ok()
+    }
+
     /// The corrected pixel in 8 bits.
     fn apply(&self, pixel: &[u8]) -> [u8; 3] {
         let from = color(pixel);

@@ -1,7 +1,7 @@
 //! Renders frames of a dataset and compares them with their photographs.
 
 use super::{
-    PerceptualDistance, RightHalf, Target,
+    ColorFit, PerceptualDistance, RightHalf, Target, TrainView,
     overlap::{InFlight, ViewTasks, for_each_view},
 };
 use crate::{
@@ -56,7 +56,7 @@ impl<E: From<RenderError> + Send> ViewMeasurement<'_, E> {
     /// As [`ViewMeasurement::scores`].
     pub fn mean_psnr(self, frames: &[&Frame]) -> Result<Option<f64>, E> {
         let values = self.compare(frames, InFlight::Several, &|_, render, target| target.psnr(render))?;
-        Ok((!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64))
+        Ok(mean(&values))
     }
 
     fn compare<T: Send>(
@@ -87,6 +87,10 @@ impl<E: From<RenderError> + Send> ViewMeasurement<'_, E> {
         for_each_view(frames, in_flight, tasks)?;
         Ok(compared)
     }
+}
+
+fn mean(values: &[f64]) -> Option<f64> {
+    (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64)
 }
 
 fn in_flight(lpips: Option<&dyn PerceptualDistance>) -> InFlight {
@@ -120,16 +124,28 @@ pub fn measure_views(
     ViewMeasurement { renderer, background, before_each: &mut || Ok(()) }.scores(frames, None)
 }
 
-/// The mean PSNR of the frames; 0 without frames.
+/// The mean PSNR of training views in dB, of renders as their corrections make them; 0 without views.
 ///
 /// # Errors
 /// As [`ViewMeasurement::scores`].
 pub fn mean_psnr(
     renderer: &mut Renderer,
-    frames: &[&Frame],
+    views: &[TrainView<'_>],
     background: Background,
 ) -> Result<f64, RenderError> {
     let before_each: &mut dyn FnMut() -> Result<(), RenderError> = &mut || Ok(());
     let measurement = ViewMeasurement { renderer, background, before_each };
-    Ok(measurement.mean_psnr(frames)?.unwrap_or(0.0))
+    let frames: Vec<&Frame> = views.iter().map(|view| view.frame).collect();
+    let correction = |frame: &Frame| -> Option<ColorFit> {
+        views.iter().find(|view| std::ptr::eq(view.frame, frame))?.correction
+    };
+    let values = measurement.compare(
+        &frames,
+        InFlight::Several,
+        &|frame, render, target| match correction(frame) {
+            Some(fit) => target.psnr(&fit.image(render)?),
+            None => target.psnr(render),
+        },
+    )?;
+    Ok(mean(&values).unwrap_or(0.0))
 }

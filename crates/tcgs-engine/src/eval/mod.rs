@@ -19,6 +19,7 @@ mod removal_signs;
 mod scores;
 mod ssim;
 mod target;
+mod train_view;
 
 pub use bands::{BandErrors, band_errors};
 pub use color_fit::{ColorFit, LeftHalf, RightHalf, mean_color_fit};
@@ -35,3 +36,4 @@ pub use removal_signs::signs;
 pub use scores::{mean_scores, mean_scores_with, score_view};
 pub use ssim::ssim;
 pub use target::Target;
+pub use train_view::TrainView;

@@ -1,5 +1,7 @@
 //! The importance of each Gaussian and anchor: the increase of the views' squared error without it.
 //!
+//! The error is that of training: of renders through their photographs' color corrections, over the pixels that count.
+//!
 //! A pixel's color C is linear in the opacity o of each of its Gaussians, so leaving one out changes it by exactly
 //! -o dC/do, and the sum of squares by that change's square and its product with twice the error that is there already. One
 //! backward pass with that error as the image's gradient sums the products. One with random signs as the gradient gives a
@@ -8,9 +10,9 @@
 
 use std::{ops::Range, sync::Arc};
 
-use super::removal_signs::signs;
+use super::{removal_signs::signs, train_view::TrainView};
 use crate::{
-    domain::{AnchorScene, Background, Camera, Frame, SceneFrame},
+    domain::{AnchorScene, Background, Camera, SceneFrame},
     gpu::Device,
     model::{AnchorRows, ModelShape, NetworkLayout},
     render::{DeviceAnchors, NeuralGaussians, RasterSettings, Rasterizer, RenderError},
@@ -20,7 +22,7 @@ use crate::{
 /// fifth or so for each Gaussian, which is enough to put Gaussians into an order.
 const PROBES: usize = 64;
 
-/// Increase of the squared error, summed over the pixels and channels of the views; below zero where leaving out would help.
+/// Increase of the squared error, summed over channels and pixels that count of the views; below zero where leaving out would help.
 #[derive(Debug, Clone, PartialEq)]
 pub struct RemovalCosts {
     /// `[N][K]`: of each offset alone.
@@ -29,27 +31,28 @@ pub struct RemovalCosts {
     pub anchors: Vec<f64>,
 }
 
-/// Measures the increase of the squared error on `frames`; zero for Gaussians that none of them shows. The same scene and frames give
-/// the same values on one adapter. Calls `keep_going` between views; once it returns false, only the views so far count.
+/// Measures the increase of the squared error on `views`, of renders as their corrections make them; zero for Gaussians that none of them
+/// shows where pixels count. The same scene and views give the same values on one adapter. Calls `keep_going` between views; once it
+/// returns false, only the views so far count.
 ///
 /// # Errors
 /// Errors of the renderer; a photograph that cannot be read back.
 pub fn removal_costs(
     device: &Arc<Device>,
     scene: &AnchorScene,
-    frames: &[&Frame],
+    views: &[TrainView<'_>],
     background: Background,
     keep_going: &mut dyn FnMut() -> bool,
 ) -> Result<RemovalCosts, RenderError> {
     let mut probe = Probe::new(device, scene, background)?;
     let k = scene.offsets_per_anchor;
     let mut costs = RemovalCosts { offsets: vec![0.0; scene.len() * k], anchors: vec![0.0; scene.len()] };
-    let probes = PROBES.div_ceil(frames.len().max(1)) as u32;
-    for (number, frame) in (0..).zip(frames) {
+    let probes = PROBES.div_ceil(views.len().max(1)) as u32;
+    for (number, view) in (0..).zip(views) {
         if !keep_going() {
             break;
         }
-        probe.add(frame, number * probes..(number + 1) * probes, &mut costs)?;
+        probe.add(view, number * probes..(number + 1) * probes, &mut costs)?;
     }
     Ok(costs)
 }
@@ -111,30 +114,34 @@ impl<'a> Probe<'a> {
     /// Adds one view, probed once by each of `numbers`.
     fn add(
         &mut self,
-        frame: &Frame,
+        view: &TrainView<'_>,
         numbers: Range<u32>,
         costs: &mut RemovalCosts,
     ) -> Result<(), RenderError> {
-        let camera = &self.frame.camera_from_world(&frame.camera);
+        let camera = &self.frame.camera_from_world(&view.frame.camera);
         self.render(camera)?;
-        let photograph = frame.image.load()?.over(self.background.rgb8());
+        let photograph = view.frame.image.load()?.over(self.background.rgb8());
         let image = self.device.read(self.raster.image())?;
-        let error: Vec<[f32; 4]> = image
+        let mut error: Vec<[f32; 4]> = image
             .iter()
             .zip(photograph.samples().chunks_exact(3))
             .map(|(pixel, wanted)| {
-                let twice = |channel: usize| 2.0 * (pixel[channel] - f32::from(wanted[channel]) / 255.0);
+                let compared = view.compared(*pixel);
+                let twice = |channel: usize| 2.0 * (compared[channel] - f32::from(wanted[channel]) / 255.0);
                 [twice(0), twice(1), twice(2), 0.0]
             })
             .collect();
+        view.gradient_by_render(&mut error);
         let by_error = self.opacity_gradients(camera, &error)?;
         let (visible, opacities) = self.neural.visible_opacities()?;
-        let view = Visible { list: &visible, opacities: &opacities, offsets: self.anchors.shape.offsets };
-        view.add(&by_error, costs, |change| -change);
+        let shown = Visible { list: &visible, opacities: &opacities, offsets: self.anchors.shape.offsets };
+        shown.add(&by_error, costs, |change| -change);
         let share = 1.0 / f64::from(numbers.end - numbers.start);
         for number in numbers {
-            let by_signs = self.opacity_gradients(camera, &signs(number, image.len()))?;
-            view.add(&by_signs, costs, |change| share * change * change);
+            let mut signs = signs(number, image.len());
+            view.gradient_by_render(&mut signs);
+            let by_signs = self.opacity_gradients(camera, &signs)?;
+            shown.add(&by_signs, costs, |change| share * change * change);
         }
         Ok(())
     }

@@ -20,6 +20,7 @@ use crate::{
         AnchorScene, ByteBudget, CancelFlag, Choices, CodingEfficiency, Dataset, GroupQstepLog2,
         MemoryBudget, ModelKind, Problem, ProblemType, Scene, TrainOptions,
     },
+    eval::ColorFit,
     export::world::{Origin, in_world_units},
     gpu::Device,
     train::{BaseQuantSteps, Trained, TrainedContext},
@@ -64,7 +65,8 @@ pub(super) fn write_file(
             (bytes, None, None)
         }
         (Scene::Anchors(scene), _) => {
-            let encoder = Encoder { inputs, options, context, choices: &trained.choices };
+            let corrections = trained.corrections.as_deref();
+            let encoder = Encoder { inputs, options, context, choices: &trained.choices, corrections };
             let steps = encoder.quant_steps(scene, quant_steps, heartbeat)?;
             quant_steps = Some(steps);
             let (encoded, budget) = encoder.encode(scene, steps, heartbeat)?;
@@ -124,6 +126,8 @@ struct Encoder<'a> {
     options: &'a TrainOptions,
     context: Option<&'a TrainedContext>,
     choices: &'a Choices,
+    /// As [`Trained::corrections`].
+    corrections: Option<&'a [ColorFit]>,
 }
 
 impl Encoder<'_> {
@@ -138,7 +142,7 @@ impl Encoder<'_> {
         let steps = match context.map(|context| context.base_quant_steps).or(known) {
             Some(steps) => steps,
             None => {
-                let views = inputs.train_views(STEP_VIEWS);
+                let views = inputs.corrected_views(STEP_VIEWS, self.corrections);
                 choose_quant_steps(&inputs.device, scene, &views, options.background, &mut || {
                     heartbeat();
                     !inputs.cancel.is_cancelled()
@@ -168,8 +172,8 @@ impl Encoder<'_> {
             device: &inputs.device,
             scene,
             steps: [steps.feature, steps.scaling * scene.lattice.voxel, steps.offset],
-            quality_views: &inputs.train_views(QUALITY_VIEWS),
-            importance_views: &inputs.train_views(IMPORTANCE_VIEWS),
+            quality_views: &inputs.corrected_views(QUALITY_VIEWS, self.corrections),
+            importance_views: &inputs.corrected_views(IMPORTANCE_VIEWS, self.corrections),
             background,
             limit,
         };

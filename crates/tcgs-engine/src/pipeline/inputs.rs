@@ -7,7 +7,7 @@ use jiff::SignedDuration;
 use super::error::JobError;
 use crate::{
     domain::{CancelFlag, Dataset, Frame, MemoryBudget, Split, TrainOptions, evenly_spaced::evenly_spaced},
-    eval::PerceptualDistance,
+    eval::{ColorFit, PerceptualDistance, TrainView},
     gpu::Device,
     train::Trainer,
 };
@@ -56,6 +56,15 @@ impl<'a> RunInputs<'a> {
     pub(super) fn train_views(&self, max: usize) -> Vec<&'a Frame> {
         let frames: Vec<&Frame> = self.dataset.split(Split::Train).collect();
         evenly_spaced(&frames, max).copied().collect()
+    }
+
+    /// At most `max` of the training views, evenly spread, with the color corrections that a run learnt, if it did.
+    pub(super) fn corrected_views(&self, max: usize, corrections: Option<&[ColorFit]>) -> Vec<TrainView<'a>> {
+        let correction = |index: usize| corrections.and_then(|all| all.get(index).copied());
+        let frames = self.dataset.split(Split::Train).enumerate();
+        let views: Vec<TrainView<'a>> =
+            frames.map(|(index, frame)| TrainView { frame, correction: correction(index) }).collect();
+        evenly_spaced(&views, max).copied().collect()
     }
 
     /// Mean pixels of a training photograph.

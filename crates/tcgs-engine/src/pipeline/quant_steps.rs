@@ -4,8 +4,8 @@
 use std::sync::Arc;
 
 use crate::{
-    domain::{AnchorScene, Background, Frame},
-    eval::mean_psnr,
+    domain::{AnchorScene, Background},
+    eval::{TrainView, mean_psnr},
     gpu::Device,
     render::{RenderError, Renderer},
     train::BaseQuantSteps,
@@ -31,7 +31,7 @@ const MAX_INTEGER: f32 = (1_u32 << 23) as f32;
 pub(super) fn choose_quant_steps(
     device: &Arc<Device>,
     scene: &AnchorScene,
-    views: &[&Frame],
+    views: &[TrainView<'_>],
     background: Background,
     keep_going: &mut dyn FnMut() -> bool,
 ) -> Result<BaseQuantSteps, RenderError> {

@@ -7,11 +7,14 @@
 
 use rand_pcg::Pcg64;
 
-use super::{Result, SizeAim, checkpoint::ModelState, photographs::Photographs, trained::TrainedContext};
+use super::{
+    ColorCorrections, Result, SizeAim, checkpoint::ModelState, photographs::Photographs,
+    trained::TrainedContext,
+};
 use crate::{
     domain::{Background, Camera, CancelFlag, Frame, Scene},
     gpu::{Buffer, Device, Recorder},
-    render::{GaussianGradients, Gaussians, Rasterizer},
+    render::{CorrectionRows, GaussianGradients, Gaussians, Rasterizer},
 };
 
 /// A step's place in the run.
@@ -35,8 +38,17 @@ pub(super) struct Views<'a> {
     pub frames: &'a [Frame],
     /// The photographs of `frames`, as the loss reads them.
     pub photographs: &'a mut Photographs,
+    /// The color corrections of `frames`, if the run learns them.
+    pub corrections: Option<&'a ColorCorrections>,
     pub background: Background,
     pub cancel: &'a CancelFlag,
+}
+
+impl Views<'_> {
+    /// The color correction of each frame, in a run that learns them. Waits for the device.
+    pub(super) fn read_corrections(&self) -> Result<Option<Vec<CorrectionRows>>> {
+        Ok(self.corrections.map(ColorCorrections::read).transpose()?)
+    }
 }
 
 /// Submits what `record` records, a forward pass of `raster` at its end, until there is room for all intersections. Waits for the device.

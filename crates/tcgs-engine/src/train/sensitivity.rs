@@ -1,7 +1,8 @@
 //! How much pictures depend on features.
 //!
 //! A gradient of random signs as the image's, taken back to an anchor's feature, is a random vector whose products average to those
-//! of the picture's derivatives by the feature's channels.
+//! of the picture's derivatives by the feature's channels. The picture is what the loss compares with the photograph: the render through
+//! its color correction, where pixels count.
 
 use super::{
     Result, TrainError,
@@ -9,7 +10,7 @@ use super::{
     model_trainer::{Views, submit_with_room},
 };
 use crate::{
-    eval::signs,
+    eval::{TrainView, signs},
     gpu::Device,
     render::{AnchorGradients, DeviceAnchors, NeuralGaussians},
 };
@@ -32,6 +33,7 @@ pub(super) fn feature_sensitivity(
     gradients: &AnchorGradients,
     views: &mut Views<'_>,
 ) -> Result<Vec<f64>> {
+    let corrections = views.read_corrections()?;
     let Views { raster, frames, cancel, .. } = views;
     let shape = anchors.shape;
     let mut sums = vec![0.0; shape.features * shape.features];
@@ -40,13 +42,18 @@ pub(super) fn feature_sensitivity(
         if cancel.is_cancelled() {
             return Err(TrainError::Cancelled);
         }
-        let camera = &frames[(2 * view + 1) * frames.len() / (2 * views)].camera;
+        let index = (2 * view + 1) * frames.len() / (2 * views);
+        let frame = &frames[index];
+        let camera = &frame.camera;
         submit_with_room(device, raster, |raster, recorder| {
             neural.forward(recorder, anchors, camera, 0.0)?;
             Ok(raster.forward(recorder, neural.gaussians(), camera, GRAY)?)
         })?;
         let pixels = (camera.intrinsics.width * camera.intrinsics.height) as usize;
-        let d_image = device.upload("random signs", &signs(view as u32, pixels))?;
+        let mut d_image = signs(view as u32, pixels);
+        let correction = corrections.as_ref().map(|all| all[index].into());
+        TrainView { frame, correction }.gradient_by_render(&mut d_image);
+        let d_image = device.upload("random signs", &d_image)?;
         let gaussians = neural.gaussians().clone();
         let by_gaussians = neural.gaussian_gradients()?.clone();
         let mut recorder = device.recorder("random signs taken back");

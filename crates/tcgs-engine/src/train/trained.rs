@@ -1,7 +1,10 @@
 //! What a training run leaves.
 
 use super::BaseQuantSteps;
-use crate::domain::{Choices, ContextCandidates, ExposureChoice, Scene};
+use crate::{
+    domain::{Choices, ContextCandidates, ExposureChoice, Scene},
+    eval::ColorFit,
+};
 
 /// A finished training run.
 #[derive(Debug, Clone)]
@@ -21,6 +24,9 @@ pub struct Trained {
     pub choices: Choices,
     /// Whether it learnt color corrections, and why.
     pub exposure: ExposureChoice,
+    /// The color correction of each training photograph, in the dataset's order, of a run that learnt them. Files do not have them; the
+    /// encoder measures training views with them.
+    pub corrections: Option<Vec<ColorFit>>,
 }
 
 /// What compression-aware training leaves for the encoder.

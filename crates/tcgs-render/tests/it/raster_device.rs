@@ -2,10 +2,11 @@
 
 use std::sync::Arc;
 
-use glam::DVec3;
+use glam::{DVec3, DVec4};
 use tcgs_codec::domain::Camera;
 use tcgs_render::{
-    ForwardPasses, GaussianGradients, Gaussians, Projection, RasterSettings, Rasterizer, RenderError,
+    CorrectionRows, ForwardPasses, GaussianGradients, Gaussians, Projection, RasterSettings, Rasterizer,
+    RenderError,
     gpu::{Device, DeviceSettings, Subgroups},
     twin,
 };
@@ -89,6 +90,16 @@ fn random_scenes_match_the_twin() {
 
 #[test]
 fn removal_losses_match_the_twin() {
+    removal_losses_match(None);
+}
+
+#[test]
+fn removal_losses_of_corrected_renders_match_the_twin() {
+    removal_losses_match(Some(&[[0.5, 0.1, -0.2, 0.05], [0.0, 1.4, 0.1, -0.1], [0.3, 0.2, 0.0, 0.1]]));
+}
+
+fn removal_losses_match(correction: Option<&CorrectionRows>) {
+    let exact = correction.map(|rows| rows.map(|row| DVec4::from(row.map(f64::from))));
     for (device, (seed, count, size), [width, height]) in variants().into_iter().flat_map(|device| {
         [((1, 300, 0.1), [64, 48]), ((3, 50, 1.0), [33, 80])].map(|(s, c)| (device.clone(), s, c))
     }) {
@@ -114,7 +125,7 @@ fn removal_losses_match_the_twin() {
             .expect("a view");
         let mut recorder = device.recorder("removal");
         rasterizer
-            .removal_loss(&mut recorder, &uploaded, &camera, &photograph, &out)
+            .removal_loss(&mut recorder, &uploaded, &camera, &photograph, correction, &out)
             .expect("removal losses");
         recorder.submit().expect("submitted");
         let found: Vec<f64> = device
@@ -131,7 +142,8 @@ fn removal_losses_match_the_twin() {
         let wanted: Vec<[f64; 4]> =
             words.iter().map(|word| word.to_le_bytes().map(|byte| f64::from(byte) / 255.0)).collect();
         let mut expected = vec![0.0; count];
-        for (slot, loss) in twin::removal_loss(&projection, &rendering, &wanted, cutoffs).iter().enumerate() {
+        let slots = twin::removal_loss(&projection, &rendering, &wanted, exact.as_ref(), cutoffs);
+        for (slot, loss) in slots.iter().enumerate() {
             expected[rendering.lists.slot_ids[slot] as usize] += loss;
         }
         let error = relative_l2(&found, &expected);

@@ -1,6 +1,6 @@
 //! The f64 twin's gradients against central differences of its own forward pass.
 
-use glam::DVec3;
+use glam::{DVec3, DVec4};
 use tcgs_render::{
     Projection, RasterSettings,
     twin::{self, Cutoffs, Gaussian, GaussianGradient},
@@ -83,8 +83,21 @@ fn photograph(pixels: usize) -> Vec<[f64; 4]> {
         .collect()
 }
 
+/// Darker, with channels that mix and one that has nothing of itself but a constant.
+const CORRECTION: [DVec4; 3] =
+    [DVec4::new(0.5, 0.1, -0.2, 0.05), DVec4::new(0.0, 1.4, 0.1, -0.1), DVec4::new(0.3, 0.2, 0.0, 0.1)];
+
 #[test]
 fn the_removal_loss_is_the_change_of_the_error_without_the_gaussian() {
+    removal_losses_are_changes_of_the_error(None);
+}
+
+#[test]
+fn with_a_correction_it_is_that_of_the_corrected_error() {
+    removal_losses_are_changes_of_the_error(Some(&CORRECTION));
+}
+
+fn removal_losses_are_changes_of_the_error(correction: Option<&[DVec4; 3]>) {
     let camera = random::camera(21, 18);
     let projection = Projection::new(&camera, &RasterSettings::default());
     let background = DVec3::new(0.3, 0.6, 0.1);
@@ -94,12 +107,16 @@ fn the_removal_loss_is_the_change_of_the_error_without_the_gaussian() {
     let photograph = photograph(21 * 18);
     let error = |gaussians: &[Gaussian]| -> f64 {
         let image = twin::forward(&projection, gaussians, background, SMOOTH).frame.image;
-        let pixels = image.iter().zip(&photograph);
+        let seen = |p: &[f64; 4]| {
+            let color = DVec4::new(p[0], p[1], p[2], 1.0);
+            correction.map_or([p[0], p[1], p[2]], |rows| rows.map(|row| row.dot(color)))
+        };
+        let pixels = image.iter().map(seen).zip(&photograph);
         pixels.map(|(p, w)| w[3] * (0..3).map(|c| (p[c] - w[c]).abs()).sum::<f64>()).sum()
     };
     let rendering = twin::forward(&projection, &gaussians, background, SMOOTH);
     let mut found = vec![0.0; gaussians.len()];
-    let slots = twin::removal_loss(&projection, &rendering, &photograph, SMOOTH);
+    let slots = twin::removal_loss(&projection, &rendering, &photograph, correction, SMOOTH);
     for (slot, loss) in slots.iter().enumerate() {
         found[rendering.lists.slot_ids[slot] as usize] += loss;
     }

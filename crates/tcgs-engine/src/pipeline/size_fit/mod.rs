@@ -23,10 +23,8 @@ use self::{
 use super::error::JobError;
 use crate::{
     codec::{ContextChoice, ContextSearch, Encoded},
-    domain::{
-        AnchorScene, AttributeGroup, Background, ByteBudget, Frame, GroupQstepLog2, Problem, ProblemType,
-    },
-    eval::{mean_psnr, removal_costs},
+    domain::{AnchorScene, AttributeGroup, Background, ByteBudget, GroupQstepLog2, Problem, ProblemType},
+    eval::{TrainView, mean_psnr, removal_costs},
     gpu::Device,
     render::Renderer,
 };
@@ -51,10 +49,10 @@ pub(super) struct SizeFit<'a> {
     /// Its quantization steps without a target size: features, scalings in world units, offsets.
     pub(super) steps: [f32; 3],
     /// Training views that the quality of files is measured on.
-    pub(super) quality_views: &'a [&'a Frame],
+    pub(super) quality_views: &'a [TrainView<'a>],
     /// Training views that measure the importance of each Gaussian: as many as time allows, since Gaussians that none of them
     /// shows are dropped first.
-    pub(super) importance_views: &'a [&'a Frame],
+    pub(super) importance_views: &'a [TrainView<'a>],
     pub(super) background: Background,
     /// The target size in bytes.
     pub(super) limit: u64,
@@ -131,13 +129,10 @@ pub(super) fn fit_size(
     }
 }
 
-/// Number of color samples of the views, which turns a sum of squared errors into a mean.
-fn samples(frames: &[&Frame]) -> f64 {
-    let samples = |frame: &&Frame| {
-        let size = &frame.camera.intrinsics;
-        3.0 * f64::from(size.width) * f64::from(size.height)
-    };
-    frames.iter().map(samples).sum::<f64>().max(1.0)
+/// Number of color samples of the views that count, which turns a sum of squared errors into a mean.
+fn samples(views: &[TrainView<'_>]) -> f64 {
+    let samples = |view: &TrainView<'_>| 3.0 * view.counted() as f64;
+    views.iter().map(samples).sum::<f64>().max(1.0)
 }
 
 fn unreachable(limit: u64, smallest: u64) -> Problem {

@@ -7,7 +7,7 @@ mod trial;
 pub use corrections::ColorCorrections;
 pub(super) use trial::{ShortRun, Trial, choose};
 
-use super::{Decay, DecayShape, model_trainer::Step};
+use super::{Decay, DecayShape};
 
 /// The largest and the smallest first learning rate.
 const FIRST_RATES: [f64; 2] = [0.01, 0.1];
@@ -27,13 +27,13 @@ pub struct Learning {
 }
 
 impl Learning {
-    /// The step of `photograph` in a step of a run of `steps` steps over `photographs` photographs, which takes all of them before it
-    /// takes one again.
-    pub(super) fn at(step: &Step, steps: u32, photograph: usize, photographs: usize) -> Self {
+    /// The step of `photograph` in step `number`, from 1, of a run of `steps` steps over `photographs` photographs, which takes all of
+    /// them before it takes one again.
+    pub(super) fn at(number: u32, steps: u32, photograph: usize, photographs: usize) -> Self {
         let photographs = u32::try_from(photographs.max(1)).unwrap_or(u32::MAX);
-        let visit = step.number.saturating_sub(1) / photographs + 1;
+        let visit = number.saturating_sub(1) / photographs + 1;
         let rates = learning_rates(f64::from(steps) / f64::from(photographs));
-        Self { photograph, visit, learning_rate: rates.at(step.fraction) }
+        Self { photograph, visit, learning_rate: rates.at(f64::from(number) / f64::from(steps)) }
     }
 }
 

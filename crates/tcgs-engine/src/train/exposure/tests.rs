@@ -20,8 +20,7 @@ use crate::{
 fn a_photograph_with_few_visits_learns_faster() {
     let start = |visits| learning_rates(visits).start;
     assert_eq!([1.0, 60.0, 1000.0].map(start), [0.1, 0.05, 0.01]);
-    let step = |number| Step { number, fraction: f64::from(number) / 300.0, lambda: 0.0, size_aim: None };
-    let at = |number| Learning::at(&step(number), 300, 2, 5);
+    let at = |number| Learning::at(number, 300, 2, 5);
     assert_eq!([1, 5, 6, 300].map(|number| at(number).visit), [1, 1, 2, 60]);
     assert!((at(300).learning_rate - 0.005).abs() < 1e-12);
     assert_eq!(at(1).photograph, 2);

@@ -49,12 +49,12 @@ fn camera(index: u32) -> Camera {
     Camera::new(intrinsics, pose).expect("a camera")
 }
 
-fn is_held_out(index: u32) -> bool {
+pub(super) fn is_held_out(index: u32) -> bool {
     index.is_multiple_of(8)
 }
 
 /// A gain for each channel of each view, whose mean over the training views is 1.
-fn gains() -> Vec<DVec3> {
+pub(super) fn gains() -> Vec<DVec3> {
     let mut rng = Pcg64::seed_from_u64(6);
     let mut gain = || {
         let exposure = rng.random_range(0.55..1.3);
@@ -75,7 +75,7 @@ fn photograph(camera: &Camera, gain: DVec3) -> Image {
 }
 
 /// Photographs multiplied by `gains`.
-fn dataset(gains: &[DVec3]) -> Dataset {
+pub(super) fn dataset(gains: &[DVec3]) -> Dataset {
     let frames = (0..VIEWS).map(|index| {
         let camera = camera(index);
         Frame {
@@ -104,15 +104,15 @@ fn dataset(gains: &[DVec3]) -> Dataset {
     }
 }
 
-fn clean() -> Dataset {
+pub(super) fn clean() -> Dataset {
     dataset(&[DVec3::ONE; VIEWS as usize])
 }
 
-fn options(model: ModelKind, steps: u32, exposure: Exposure) -> TrainOptions {
+pub(super) fn options(model: ModelKind, steps: u32, exposure: Exposure) -> TrainOptions {
     TrainOptions { model, exposure, iterations: Some(steps), seed: 2, ..TrainOptions::default() }
 }
 
-fn run(dataset: &Dataset, options: &TrainOptions) -> Trained {
+pub(super) fn run(dataset: &Dataset, options: &TrainOptions) -> Trained {
     Trainer::new(&lavapipe(), dataset, options).run(|_| ()).expect("a scene")
 }
 
@@ -142,6 +142,16 @@ fn tint(trained: &Trained, clean: &Dataset) -> DVec3 {
     found / expected
 }
 
+/// How far corrections of the training photographs, in their order, are from the gains of these for a gray color.
+fn worst_gain(corrections: &[ColorFit]) -> f64 {
+    let trained: Vec<DVec3> =
+        (0..VIEWS).filter(|index| !is_held_out(*index)).map(|index| gains()[index as usize]).collect();
+    assert_eq!(corrections.len(), trained.len());
+    let found = corrections.iter().map(|fit| DVec3::from(fit.corrected([0.4; 3]).map(f64::from)) / 0.4);
+    let errors = found.zip(trained).map(|(found, expected)| (found - expected).abs().max_element());
+    errors.fold(0.0, f64::max)
+}
+
 #[test]
 fn corrections_make_up_for_exposures_and_leave_the_scene_without_tint() {
     let (exposed, clean) = (dataset(&gains()), clean());
@@ -150,6 +160,14 @@ fn corrections_make_up_for_exposures_and_leave_the_scene_without_tint() {
             let trained = run(&exposed, &options(model, 300, exposure));
             assert_eq!(trained.exposure.corrected, exposure == Exposure::On);
             assert_eq!(trained.choices.exposure, None, "the option decided");
+            assert_eq!(trained.corrections.is_some(), exposure == Exposure::On);
+            if let Some(corrections) = &trained.corrections {
+                assert!(
+                    worst_gain(corrections) < 0.2,
+                    "{model}: gains are off by {}",
+                    worst_gain(corrections)
+                );
+            }
             (color_fit(&trained, &exposed).corrected_psnr, tint(&trained, &clean))
         });
         println!("{model}: {on:?} with corrections, {off:?} without");

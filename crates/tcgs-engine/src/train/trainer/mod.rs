@@ -38,6 +38,7 @@ use crate::{
         MemoryBudget, NearPlane, Progress, Scene, SceneFrame, SizeBound, Split, TrainOptions, Widths,
         failure_point::reach,
     },
+    eval::ColorFit,
     gpu::{Binding, Device, RawBuffer, Readback, Recorder},
     model::ModelShape,
     render::{RasterSettings, Rasterizer},
@@ -444,6 +445,7 @@ impl Run {
                         raster: &mut self.raster,
                         frames: &self.frames,
                         photographs: &mut self.photographs,
+                        corrections: self.corrections.as_ref(),
                         background: self.background,
                         cancel,
                     };
@@ -567,7 +569,7 @@ impl Run {
         let seen = corrected.as_ref().unwrap_or(render);
         let d_image = self.loss.record_counted(&mut recorder, size, seen, photograph, wavelet.as_ref())?;
         if let Some(corrections) = &mut self.corrections {
-            let learning = Learning::at(&step, self.schedule.steps, index, self.frames.len());
+            let learning = Learning::at(step.number, self.schedule.steps, index, self.frames.len());
             let overflow_flag = self.raster.overflow_flag();
             corrections.learn(&mut recorder, learning, render, d_image, overflow_flag)?;
         }
@@ -696,10 +698,13 @@ impl Run {
             raster: &mut self.raster,
             frames: &self.frames,
             photographs: &mut self.photographs,
+            corrections: self.corrections.as_ref(),
             background: self.background,
             cancel,
         };
         let FinishedModel { scene, unrounded, context } = self.model.finish(views)?;
+        let corrections = views.read_corrections()?;
+        let corrections = corrections.map(|all| all.into_iter().map(ColorFit::from).collect());
         let scene = scene.in_frame(self.frame);
         let unrounded = unrounded.map(|scene| scene.in_frame(self.frame));
         let seconds = self.state.seconds + self.started.elapsed().as_secs_f64();
@@ -710,11 +715,13 @@ impl Run {
             is_pruned.then_some(Widths { features: learnt.features, offsets: learnt.offsets });
         let choices = Choices { narrowed_from, ..self.choices };
         let exposure = self.state.exposure();
-        Ok(Trained { scene, unrounded, context, steps, seconds, choices, exposure })
+        Ok(Trained { scene, unrounded, context, steps, seconds, choices, exposure, corrections })
     }
 }
 
 #[cfg(test)]
 mod exposure_tests;
+#[cfg(test)]
+mod measure_tests;
 #[cfg(test)]
 mod tests;

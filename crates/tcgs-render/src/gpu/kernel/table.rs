@@ -75,6 +75,15 @@ const VIEW_DEGREES: Definitions = sets(&[
     &[("VIEW_DEGREE", 3), ("OPAQUE", 1)],
 ]);
 const LANES: Definitions = sets(&[&[("LANES", 8)], &[("LANES", 16)], &[("LANES", 32)], &[("LANES", 64)]]);
+/// As [`LANES`], and with the errors of corrected renders.
+const LANES_CORRECTED: Definitions = sets(&[
+    &[("LANES", 8)],
+    &[("LANES", 16)],
+    &[("LANES", 32)],
+    &[("LANES", 64)],
+    &[("LANES", 16), ("CORRECTED", 1)],
+    &[("LANES", 64), ("CORRECTED", 1)],
+]);
 /// The modes of `dense`.
 const MODES: Definitions = sets(&[&[("MODE", 0)], &[("MODE", 1)], &[("MODE", 2)]]);
 /// Of one to 24 blocks, and of the modes of `dense_software`.
@@ -170,7 +179,7 @@ kernels! {
         "tile_ranges": ONE.by_variant(),
         "raster_forward": SUBGROUPS.by_variant(),
         "raster_backward": SUBGROUPS.by_variant(),
-        "removal_loss": LANES,
+        "removal_loss": LANES_CORRECTED,
         "gather": ONE.by_variant(),
         "clear_culled": ONE.by_variant(),
         "project_backward": ONE.by_variant(),
