@@ -8,11 +8,8 @@ use std::f64::consts::TAU;
 use glam::DVec3;
 use rayon::prelude::*;
 
-use super::bake::{BakeView, Disc, shares, thinned};
+use super::bake::{BakeView, Disc, VIEWS_AT_ONCE, shares, thinned};
 use crate::domain::{Camera, GaussianScene};
-
-/// Views whose values are in memory at once: each has 8 bytes for every Gaussian.
-const VIEWS_AT_ONCE: usize = 16;
 
 /// The `count` Gaussians that `cameras`, which are in the world, show most, in the scene's order.
 #[must_use]

@@ -28,7 +28,7 @@ pub use views::{sphere, thinned};
 use self::networks::{Evaluated, ViewInputs};
 pub(super) use self::{
     occlusion::{Disc, shares},
-    views::BakeView,
+    views::{BakeView, VIEWS_AT_ONCE},
 };
 use crate::domain::{
     AnchorScene, Camera, GaussianScene, Mlp, anchors::SceneShapeError, gaussians::SH_COEFFICIENTS, harmonics,
@@ -114,15 +114,12 @@ pub fn bake(scene: &AnchorScene, cameras: &[Camera], settings: BakeSettings) -> 
     let anchors: Vec<AnchorSampler<'_>> = (0..scene.len())
         .map(|anchor| AnchorSampler { scene, bake_views: &bake_views, settings, anchor })
         .collect();
-    let candidates: Vec<Vec<Candidate>> = anchors.par_iter().map(AnchorSampler::candidates).collect();
-    let visibility = Visibility::of(&bake_views, &candidates, f64::from(scene.near.depth()));
+    let mut candidates: Vec<Candidates> = anchors.par_iter().map(AnchorSampler::candidates).collect();
+    add_shares(&mut candidates, &bake_views, f64::from(scene.near.depth()));
     let baked: Vec<Vec<Gaussian>> = anchors
         .par_iter()
         .zip(&candidates)
-        .enumerate()
-        .map(|(anchor, (sampler, candidates))| {
-            sampler.gaussians(candidates, &visibility.shares, visibility.first[anchor])
-        })
+        .map(|(sampler, candidates)| sampler.gaussians(candidates))
         .collect();
     let mut gaussians = GaussianScene {
         degree: settings.degree,
@@ -165,37 +162,58 @@ struct Gaussian {
 struct Candidate {
     offset: usize,
     disc: Disc,
-    /// In each view; zero also where the view does not show it.
+    /// In each of its anchor's views; zero also where the view does not show it.
     opacities: Vec<f32>,
+    /// Of its light that reaches the camera, in each of its anchor's views.
+    shares: Vec<f32>,
 }
 
-/// How much of each candidate the views show.
-struct Visibility {
-    /// Index of an anchor's first candidate.
-    first: Vec<usize>,
-    /// `[views][candidates]`
-    shares: Vec<Vec<f32>>,
+/// The candidates of an anchor.
+struct Candidates {
+    /// The views that may show one of the anchor's Gaussians, ascending.
+    views: Vec<u32>,
+    list: Vec<Candidate>,
 }
 
-impl Visibility {
-    fn of(bake_views: &[BakeView], candidates: &[Vec<Candidate>], near: f64) -> Self {
-        let mut first = Vec::with_capacity(candidates.len());
-        let mut count = 0;
-        for of_anchor in candidates {
-            first.push(count);
-            count += of_anchor.len();
-        }
-        let discs: Vec<Disc> = candidates.iter().flatten().map(|candidate| candidate.disc).collect();
-        let shares = bake_views
-            .par_iter()
-            .enumerate()
-            .map(|(view, bake_view)| {
+impl Candidates {
+    /// The place of a view among those of the anchor.
+    fn place(&self, view: usize) -> Option<usize> {
+        self.views.binary_search_by(|other| (*other as usize).cmp(&view)).ok()
+    }
+
+    /// Opacities of the candidates in a view.
+    fn opacities(&self, view: usize) -> impl Iterator<Item = f32> {
+        let place = self.place(view);
+        self.list.iter().map(move |candidate| place.map_or(0.0, |place| candidate.opacities[place]))
+    }
+}
+
+/// Adds to each candidate how much of it the views of its anchor show.
+fn add_shares(candidates: &mut [Candidates], bake_views: &[BakeView], near: f64) {
+    let mut first = Vec::with_capacity(candidates.len());
+    let mut discs: Vec<Disc> = Vec::new();
+    for anchor in &*candidates {
+        first.push(discs.len());
+        discs.extend(anchor.list.iter().map(|candidate| candidate.disc));
+    }
+    for start in (0..bake_views.len()).step_by(VIEWS_AT_ONCE) {
+        let views = start..(start + VIEWS_AT_ONCE).min(bake_views.len());
+        let shares: Vec<Vec<f32>> = views
+            .clone()
+            .into_par_iter()
+            .map(|view| {
                 let opacities: Vec<f32> =
-                    candidates.iter().flatten().map(|candidate| candidate.opacities[view]).collect();
-                occlusion::shares(bake_view, &discs, &opacities, near)
+                    candidates.iter().flat_map(|anchor| anchor.opacities(view)).collect();
+                occlusion::shares(&bake_views[view], &discs, &opacities, near)
             })
             .collect();
-        Self { first, shares }
+        candidates.par_iter_mut().zip(&first).for_each(|(Candidates { views: of_anchor, list }, first)| {
+            for view in of_anchor.iter().map(|view| *view as usize).filter(|view| views.contains(view)) {
+                for (index, candidate) in list.iter_mut().enumerate() {
+                    candidate.shares.push(shares[view - start][first + index]);
+                }
+            }
+        });
     }
 }
 
@@ -244,20 +262,20 @@ impl AnchorSampler<'_> {
     }
 
     /// Its offsets that some view shows, with their opacities there.
-    fn candidates(&self) -> Vec<Candidate> {
+    fn candidates(&self) -> Candidates {
         let live = self.live();
         let (from, views) = self.views(live.iter().map(|(_, mean)| mean));
         let opacity = self.network(&self.scene.networks.opacity, &views);
         let covariance = self.network(&self.scene.networks.covariance, &views);
         let (size, radius) = (self.size(), self.radius());
-        live.into_iter()
+        let list = live
+            .into_iter()
             .filter_map(|(offset, mean)| {
-                let mut opacities = vec![0.0; self.bake_views.len()];
-                for (view, x) in from.iter().zip(opacity.row(offset)) {
-                    if self.bake_views[*view].sees(mean, radius, self.near()) {
-                        opacities[*view] = x.tanh().clamp(0.0, 1.0);
-                    }
-                }
+                let opacity_in = |(view, x): (&usize, f32)| {
+                    let is_seen = self.bake_views[*view].sees(mean, radius, self.near());
+                    if is_seen { x.tanh().clamp(0.0, 1.0) } else { 0.0 }
+                };
+                let opacities: Vec<f32> = from.iter().zip(opacity.row(offset)).map(opacity_in).collect();
                 let max = opacities.iter().fold(0.0_f32, |max, opacity| max.max(*opacity));
                 if f64::from(max) < ALPHA_MIN {
                     return None;
@@ -270,35 +288,40 @@ impl AnchorSampler<'_> {
                 });
                 axes.sort_unstable_by(f64::total_cmp);
                 let sigma = (axes[1] * axes[2]).sqrt();
-                Some(Candidate { offset, disc: Disc { mean, sigma }, opacities })
+                let shares = Vec::with_capacity(from.len());
+                Some(Candidate { offset, disc: Disc { mean, sigma }, opacities, shares })
             })
-            .collect()
+            .collect();
+        Candidates { views: from.iter().map(|view| *view as u32).collect(), list }
     }
 
-    /// Its visible Gaussians, by offset. `shares` holds how much of each candidate a view shows, those of this anchor from
-    /// `first` on.
-    fn gaussians(&self, candidates: &[Candidate], shares: &[Vec<f32>], first: usize) -> Vec<Gaussian> {
-        let (from, views) = self.views(candidates.iter().map(|candidate| &candidate.disc.mean));
+    /// Its visible Gaussians, by offset, of its candidates with their shares.
+    fn gaussians(&self, candidates: &Candidates) -> Vec<Gaussian> {
+        let (from, views) = self.views(candidates.list.iter().map(|candidate| &candidate.disc.mean));
         let covariance = self.network(&self.scene.networks.covariance, &views);
         let color = self.network(&self.scene.networks.color, &views);
         let radius = self.radius();
         let rows = |network: &Evaluated<'_>, first: usize, count: usize| -> Vec<Vec<f32>> {
             (first..first + count).map(|row| network.row(row)).collect()
         };
+        let places: Vec<Option<usize>> = from.iter().map(|view| candidates.place(*view)).collect();
         candidates
+            .list
             .iter()
-            .enumerate()
-            .filter_map(|(index, candidate)| {
+            .filter_map(|candidate| {
                 let mean = candidate.disc.mean;
                 let seen: Vec<ViewSample> = from
                     .iter()
                     .enumerate()
                     .filter(|(_, view)| self.bake_views[**view].sees(mean, radius, self.near()))
-                    .map(|(column, view)| ViewSample {
-                        column,
-                        view: *view,
-                        opacity: f64::from(candidate.opacities[*view]),
-                        share: f64::from(shares[*view][first + index]).max(MIN_SHARE),
+                    .filter_map(|(column, view)| {
+                        let place = places[column]?;
+                        Some(ViewSample {
+                            column,
+                            view: *view,
+                            opacity: f64::from(candidate.opacities[place]),
+                            share: f64::from(candidate.shares[place]).max(MIN_SHARE),
+                        })
                     })
                     .collect();
                 let (covariance, color) =

@@ -234,3 +234,28 @@ fn the_number_of_threads_changes_no_bit() {
     };
     assert_eq!(with(1), with(4));
 }
+
+#[test]
+fn candidates_have_values_of_the_views_that_see_their_anchor_alone() {
+    let scene = scene();
+    // Each of the cameras that look at the scene, then one at the same place that looks away.
+    let away = |camera: &Camera| {
+        let from = camera.pose.center();
+        let pose = Pose::look_at(from, 2.0 * from - DVec3::X, DVec3::new(0.3, 0.5, 0.8)).expect("a pose");
+        Camera::new(camera.intrinsics, pose).expect("a camera")
+    };
+    let seeing = cameras();
+    let all: Vec<Camera> = seeing.iter().flat_map(|camera| [*camera, away(camera)]).collect();
+    let bake_views: Vec<BakeView> = all.iter().map(BakeView::of).collect();
+    let settings = BakeSettings::default();
+    let mut candidates =
+        [AnchorSampler { scene: &scene, bake_views: &bake_views, settings, anchor: 0 }.candidates()];
+    add_shares(&mut candidates, &bake_views, f64::from(scene.near.depth()));
+    let [Candidates { views, list }] = &candidates;
+    assert!(views.iter().copied().eq((0..120).step_by(2)), "{views:?}");
+    assert_eq!(list.len(), 2);
+    assert!(list.iter().all(|candidate| candidate.opacities.len() == 60 && candidate.shares.len() == 60));
+    let [of_all, of_seeing] =
+        [&all, &seeing].map(|cameras| bake(&scene, cameras, settings).expect("bakes").scene);
+    assert_eq!(of_all, of_seeing);
+}

@@ -16,6 +16,9 @@ const FIELD: f64 = 0.9;
 /// Most views that are baked from: more tell a Gaussian of sixteen coefficients little and cost in proportion.
 const MAX_VIEWS: usize = 128;
 
+/// Views whose values of all Gaussians are in memory at once.
+pub(in crate::export) const VIEWS_AT_ONCE: usize = 16;
+
 /// `count` cameras of `side` x `side` pixels, evenly spread over a sphere around the scene and looking at its middle. The
 /// middle is the median of the positions, the radius three times that of nine tenths of them.
 ///
