@@ -92,6 +92,7 @@ const EXTERNAL: &[(&str, &[&str])] = &[
     ("webp", &["picture"]),
     ("zip", &["export", "ingest", "sample"]),
     ("unicode_normalization", &["ingest"]),
+    ("kiddo", &["init"]),
     ("jpeg_encoder", &["picture", "sample"]),
     ("crc32fast", &["picture"]),
     ("ndarray", &["lpips"]),

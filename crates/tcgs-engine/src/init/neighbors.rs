@@ -1,8 +1,8 @@
 //! Distances to the nearest points, exact, in a time that no arrangement of the points makes quadratic.
 //!
 //! The search is a hierarchy of boxes. A box is divided across its longest side by the number of its points, not at a coordinate. So
-//! points that coincide, or share coordinates, are divided like all others. A k-d tree that divides at coordinates takes time quadratic
-//! in such points: minutes for 200 000 copies of one.
+//! points that coincide, or share coordinates, are divided like all others. A k-d tree that divides at coordinates, as that of
+//! kiddo, takes time quadratic in such points: minutes for 200 000 copies of one. Tests compare with it on others.
 
 use rayon::prelude::*;
 
@@ -187,6 +187,9 @@ impl Nearest {
 
 #[cfg(test)]
 mod tests {
+    use std::num::NonZero;
+
+    use kiddo::{ImmutableKdTree, SquaredEuclidean};
     use rand::{RngExt, SeedableRng};
     use rand_pcg::Pcg64;
 
@@ -223,6 +226,19 @@ mod tests {
         for points in [grid, strays] {
             assert_eq!(neighbor_distances(&points), by_all_pairs(&points));
         }
+    }
+
+    #[test]
+    fn a_k_d_tree_finds_the_same() {
+        let points = random(50_000, |rng, _| [0; 3].map(|_| rng.random_range(-1.0..1.0_f32)));
+        let tree = ImmutableKdTree::<f32, 3>::new_from_slice(&points).expect("a tree");
+        let wanted = NonZero::new(NEAREST).expect("some");
+        let by_tree = |point: &Point| {
+            let near = tree.query(point).nearest_n::<SquaredEuclidean<f32>>(wanted).execute();
+            let sum: f32 = near.iter().map(|neighbor| neighbor.distance).sum();
+            (sum / (NEAREST - 1) as f32).sqrt()
+        };
+        assert_eq!(neighbor_distances(&points), points.iter().map(by_tree).collect::<Vec<_>>());
     }
 
     #[test]
