@@ -30,10 +30,7 @@ use crate::{
     },
     ingest,
     pipeline::JobError,
-    poses::{
-        Given, PoseEstimator, PoseOptions, PoseProgress, PoseStage, PosesError, SEARCH_FOLDER,
-        while_reporting,
-    },
+    poses::{Given, PoseEstimator, PoseOptions, PosesError, SEARCH_FOLDER, while_reporting},
     store::{BlobCopy, BlobError, BlobRef, Lease, Outcome, StoreError},
 };
 
@@ -157,14 +154,7 @@ fn archive(
     let io = |error| PosesError::Io { what: "cannot write the archive of the dataset", error };
     let mut file = fs::File::create(&path).map_err(io)?;
     // A copy of all photographs, which may take long on a slow disk.
-    let registered = found.report.registered.len() as u64;
-    let done = PoseProgress {
-        stage: PoseStage::Mapping,
-        done: registered,
-        total: found.report.photographs as u64,
-        reprojection_error: Some(found.report.reprojection_error),
-    };
-    while_reporting(done, report, || {
+    while_reporting(found.report.progress(), report, || {
         ingest::pack(&found.folder, &mut file).map_err(io::Error::other)?;
         file.sync_all()
     })

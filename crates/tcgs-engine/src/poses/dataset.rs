@@ -105,13 +105,7 @@ impl PoseEstimator {
         }
         names.sort_by(|a, b| natural_order(a, b));
         let found = self.estimate(&photographs, &names, &search, options, report, cancel)?;
-        let done = PoseProgress {
-            stage: PoseStage::Mapping,
-            done: found.registered.len() as u64,
-            total: names.len() as u64,
-            reprojection_error: Some(found.reprojection_error),
-        };
-        while_reporting(done, report, || assemble(&folder, &photographs, &found, &kept))
+        while_reporting(found.progress(), report, || assemble(&folder, &photographs, &found, &kept))
             .map_err(io("cannot write the dataset"))?;
         Ok(PosedDataset { report: found, folder })
     }

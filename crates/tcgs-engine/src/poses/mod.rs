@@ -107,3 +107,16 @@ pub struct PoseReport {
     #[serde(skip)]
     pub model: PathBuf,
 }
+
+impl PoseReport {
+    /// The progress of the finished search.
+    #[must_use]
+    pub fn progress(&self) -> PoseProgress {
+        PoseProgress {
+            stage: PoseStage::Mapping,
+            done: self.registered.len() as u64,
+            total: self.photographs as u64,
+            reprojection_error: Some(self.reprojection_error),
+        }
+    }
+}

@@ -45,15 +45,9 @@ fn gaussians_are_pruned_by_the_error_of_corrected_renders() {
     let (step, device) = (run.at(1), Arc::clone(&run.device));
     let mut losses = |rows: CorrectionRows| {
         correct_all(&run, rows);
-        let views = &mut Views {
-            raster: &mut run.raster,
-            frames: &run.frames,
-            photographs: &mut run.photographs,
-            corrections: run.corrections.as_ref(),
-            background: run.background,
-            cancel: &CancelFlag::default(),
-        };
-        removal_losses(&mut *run.model, &device, &step, views).expect("measured")
+        let cancel = CancelFlag::default();
+        let (model, _, mut views) = run.model_and_views(&cancel);
+        removal_losses(model, &device, &step, &mut views).expect("measured")
     };
     let seen = losses(IDENTITY);
     assert!(seen.iter().filter(|loss| **loss != 0.0).count() > 20, "{seen:?}");
@@ -155,15 +149,9 @@ fn features_matter_where_pixels_count_and_through_corrections() {
             frame.mask =
                 columns.map(|columns| PixelMask::from_fn(size.width, size.height, |x, _| x < columns));
         }
-        let views = &mut Views {
-            raster: &mut run.raster,
-            frames: &run.frames,
-            photographs: &mut run.photographs,
-            corrections: run.corrections.as_ref(),
-            background: run.background,
-            cancel: &CancelFlag::default(),
-        };
-        feature_sensitivity(&device, &mut neural, &anchors, &gradients, views).expect("measured")
+        let cancel = CancelFlag::default();
+        let (_, _, mut views) = run.model_and_views(&cancel);
+        feature_sensitivity(&device, &mut neural, &anchors, &gradients, &mut views).expect("measured")
     };
     let all = products(IDENTITY, None);
     assert!(all.iter().any(|product| *product != 0.0));

@@ -441,15 +441,8 @@ impl Run {
                     if let Some(next) = self.model.successor(&last, &mut self.state.rng)? {
                         self.model = next;
                     }
-                    let views = &mut Views {
-                        raster: &mut self.raster,
-                        frames: &self.frames,
-                        photographs: &mut self.photographs,
-                        corrections: self.corrections.as_ref(),
-                        background: self.background,
-                        cancel,
-                    };
-                    self.model.adapt(&last, &mut self.state.rng, views)?;
+                    let (model, rng, mut views) = self.model_and_views(cancel);
+                    model.adapt(&last, rng, &mut views)?;
                     // It may have another renderer now.
                     self.tell_of_masks()?;
                 }
@@ -460,6 +453,22 @@ impl Run {
             }
             return Ok(recorded);
         }
+    }
+
+    /// The model, the run's random numbers, and the training views with what renders and compares them.
+    fn model_and_views<'a>(
+        &'a mut self,
+        cancel: &'a CancelFlag,
+    ) -> (&'a mut dyn ModelTrainer, &'a mut Pcg64, Views<'a>) {
+        let views = Views {
+            raster: &mut self.raster,
+            frames: &self.frames,
+            photographs: &mut self.photographs,
+            corrections: self.corrections.as_ref(),
+            background: self.background,
+            cancel,
+        };
+        (&mut *self.model, &mut self.state.rng, views)
     }
 
     /// Records and submits the steps of a batch; returns the last one, their number, and whether the host has to act after it.
