@@ -183,9 +183,11 @@ impl Store {
         let limits = self.policy.limits;
         accounts::admit_job(tx, limits.max_active_jobs, new.project).await?;
         accounts::admit_blob(tx, limits.quota_bytes, new.project, new.dataset).await?;
-        // A retry keeps the priority that was admitted for the job before.
         if new.retry_of.is_none() {
             priority::admit(tx, limits.max_priority, new.project, new.key, new.priority).await?;
+        } else if let Some(max) = priority::highest(tx, limits.max_priority, new.project, new.key).await? {
+            // The job before may be an administrator's, or older than the limit.
+            new.priority = new.priority.min(max);
         }
         if let Some(dataset) = new.dataset_id
             && !exists(tx, "SELECT 1 FROM scenes WHERE id = ?", dataset).await?

@@ -6,8 +6,7 @@ use crate::{
     store::StoreError,
 };
 
-/// Refuses a priority above the project's maximum, which is `default` for projects without one. Administrators and services without
-/// keys have no maximum. Part of the transaction that adds the job.
+/// Refuses a priority above the [`highest`]. Part of the transaction that adds the job.
 pub(super) async fn admit(
     connection: &mut Transaction,
     default: Option<i32>,
@@ -15,20 +14,33 @@ pub(super) async fn admit(
     key: Option<KeyId>,
     requested: i32,
 ) -> Result<(), StoreError> {
-    let Some(key) = key else { return Ok(()) };
+    match highest(connection, default, project, key).await? {
+        Some(max) if requested > max => Err(StoreError::PriorityTooHigh { requested, max }),
+        _ => Ok(()),
+    }
+}
+
+/// The highest priority of jobs that a key may add to a project, which is `default` for projects without one. Administrators and services
+/// without keys have none.
+pub(super) async fn highest(
+    connection: &mut Transaction,
+    default: Option<i32>,
+    project: ProjectId,
+    key: Option<KeyId>,
+) -> Result<Option<i32>, StoreError> {
+    let Some(key) = key else { return Ok(None) };
     let row = query("SELECT scopes FROM keys WHERE id = ?")
         .bind(key.to_string())
         .fetch_one(&mut *connection)
         .await?;
     let scopes: String = row.try_get("scopes")?;
     if scopes.split_whitespace().any(|scope| scope == Scope::Admin.name()) {
-        return Ok(());
+        return Ok(None);
     }
     let row = query("SELECT max_priority FROM projects WHERE id = ?")
         .bind(project.to_string())
         .fetch_one(connection)
         .await?;
     let own: Option<i32> = super::rows::optional_integer(&row, "max_priority")?;
-    let max = own.or(default).unwrap_or(DEFAULT_MAX_PRIORITY);
-    if requested > max { Err(StoreError::PriorityTooHigh { requested, max }) } else { Ok(()) }
+    Ok(Some(own.or(default).unwrap_or(DEFAULT_MAX_PRIORITY)))
 }

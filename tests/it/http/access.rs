@@ -600,6 +600,16 @@ async fn a_project_has_a_ceiling_for_the_priority_of_its_jobs() {
     with_key(&server, "POST", &format!("{job}/cancel"), &high.key).await.expect(200);
     let again = with_key(&server, "POST", &format!("{job}/retry"), &high.key).await.expect(201).json();
     assert_eq!(again["priority"], 70);
+    // But no more than its project has by then.
+    let admin = server.key(&[Scope::Admin]).await;
+    let project = format!("/v1/projects/{}", high.project);
+    let lowered = json!({ "max_priority": 20 });
+    let lower = |request: reqwest::RequestBuilder| request.bearer_auth(&admin.key).json(&lowered);
+    server.send("PATCH", &project, lower).await.expect(200);
+    for (key, priority) in [(&high, 20), (&admin, 70)] {
+        let again = with_key(&server, "POST", &format!("{job}/retry"), &key.key).await.expect(201).json();
+        assert_eq!(again["priority"], priority);
+    }
 
     // The service's own default, for keys without a ceiling.
     let policy = QueuePolicy { limits: ceiling(20), ..quick_policy() };
