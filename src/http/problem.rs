@@ -13,7 +13,7 @@ use axum::{
 use tokio::{sync::AcquireError, task::JoinError};
 
 use crate::{
-    domain::{JobId, Problem, ProblemType},
+    domain::{JobId, Preparation, Problem, ProblemType},
     store::{BlobError, StoreError},
 };
 
@@ -195,6 +195,13 @@ impl From<StoreError> for ProblemResponse {
                     .because(detail)
                     .with_header(header::RETRY_AFTER, RETRY_WHEN_AN_UPLOAD_ENDS.into())
             }
+            StoreError::NoWorker { best: Preparation::None, .. } => ProblemType::PosesUnavailable.because(
+                "the dataset has no cameras, and no worker of this service can find them: install pycolmap for one (`make poses`), or \
+                 send cameras with the photographs",
+            ),
+            StoreError::NoWorker { .. } => ProblemType::VideoUnavailable.because(
+                "no worker of this service can read videos: install ffmpeg for one, or send photographs",
+            ),
             StoreError::NoDataset(id) => Self::no_scene(id),
             StoreError::NoProject(id) => Self::no_project(id),
             StoreError::PriorityTooHigh { .. } => Self::parameter("priority", error),

@@ -6,7 +6,7 @@ use super::{
     PriorRequest,
     disk_full::{is_disk_full, result_code, sql_state},
 };
-use crate::domain::{DatasetId, JobId, ProjectId};
+use crate::domain::{DatasetId, JobId, Preparation, ProjectId};
 
 /// An error of the store.
 #[derive(Debug, Error)]
@@ -51,6 +51,14 @@ pub enum StoreError {
         requested: i32,
         /// The maximum.
         max: i32,
+    },
+    /// Workers live, and none of them can prepare a new job's dataset.
+    #[error("no worker can prepare the dataset: it needs {needs:?}, and they can do at most {best:?}")]
+    NoWorker {
+        /// The preparation that the dataset needs.
+        needs: Preparation,
+        /// The most that a worker can do.
+        best: Preparation,
     },
     /// There is no such project for a new key.
     #[error("there is no project {0}")]
@@ -143,6 +151,7 @@ impl StoreError {
             | Self::TooManyJobs { .. }
             | Self::TooManyUploads { .. }
             | Self::PriorityTooHigh { .. }
+            | Self::NoWorker { .. }
             | Self::NoProject(_)
             | Self::NoDataset(_) => true,
             error => error.is_disk_full(),

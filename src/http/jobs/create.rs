@@ -22,7 +22,7 @@ use crate::{
             form::{FORM, receive_form},
             received::{ARCHIVES, ReceivedDataset, receive},
         },
-        problem::{Answer as _, ApiResult, ProblemResponse},
+        problem::{ApiResult, ProblemResponse},
         request::{
             CreateOutcome, CreateRequest, Parameters, Resource, expect_media_type, idempotency, idempotent,
             media_type, prefer, read_json,
@@ -155,10 +155,8 @@ async fn new_job(
     (dataset, layout): (BlobRef, Layout),
 ) -> ApiResult<NewJob> {
     let CreateRequest { state, caller, .. } = request;
-    let needs = Preparation::of(layout);
-    expect_worker(state, needs).await?;
     Ok(NewJob {
-        needs,
+        needs: Preparation::of(layout),
         project: caller.project,
         key: caller.key,
         name: wanted.name,
@@ -167,23 +165,6 @@ async fn new_job(
         deadline_at: deadline(state, wanted.deadline_s).await?,
         ..NewJob::new(JobId(state.services.new_uuid()), wanted.options, dataset)
     })
-}
-
-/// Refuses a job that no live worker can prepare. If none is known, one may start later.
-async fn expect_worker(state: &AppState, needs: Preparation) -> ApiResult<()> {
-    if needs == Preparation::None {
-        return Ok(());
-    }
-    match state.store().best_worker().await? {
-        Some(Preparation::None) => Err(ProblemType::PosesUnavailable.because(
-            "the dataset has no cameras, and no worker of this service can find them: install pycolmap for one (`make poses`), or send \
-             cameras with the photographs",
-        )),
-        Some(can) if can < needs => Err(ProblemType::VideoUnavailable.because(
-            "no worker of this service can read videos: install ffmpeg for one, or send photographs",
-        )),
-        _ => Ok(()),
-    }
 }
 
 impl Resource for JobRecord {

@@ -180,6 +180,7 @@ impl Store {
                 ..new
             };
         }
+        workers::admit(tx, new.needs, now).await?;
         let limits = self.policy.limits;
         accounts::admit_job(tx, limits.max_active_jobs, new.project).await?;
         accounts::admit_blob(tx, limits.quota_bytes, new.project, new.dataset).await?;
@@ -306,7 +307,7 @@ impl Store {
     ///
     /// # Errors
     /// [`StoreError::IdempotencyKeyUsed`], [`StoreError::QuotaExceeded`], [`StoreError::TooManyJobs`],
-    /// [`StoreError::PriorityTooHigh`], [`StoreError::NoDataset`].
+    /// [`StoreError::PriorityTooHigh`], [`StoreError::NoWorker`], [`StoreError::NoDataset`].
     pub fn create_job(&self, new: NewJob) -> StoreFuture<'_, JobRecord> {
         self.create("create_job", |store| {
             Box::pin(store.write(async move |tx, now| {

@@ -2,13 +2,37 @@
 
 use super::{
     Store,
-    db::{query, values},
+    db::{Transaction, query, values},
     rows::{before, micros, preparation, preparation_place},
 };
 use crate::{
     domain::Preparation,
-    store::{StoreFuture, WORKER_LIFE},
+    store::{StoreError, StoreFuture, WORKER_LIFE},
 };
+use jiff::Timestamp;
+
+/// Refuses a job that no live worker can prepare. If none is known, one may start later.
+pub(super) async fn admit(
+    connection: &mut Transaction,
+    needs: Preparation,
+    now: Timestamp,
+) -> Result<(), StoreError> {
+    if needs == Preparation::None {
+        return Ok(());
+    }
+    match best(connection, now).await? {
+        Some(best) if best < needs => Err(StoreError::NoWorker { needs, best }),
+        _ => Ok(()),
+    }
+}
+
+/// The most that a worker which was announced within [`WORKER_LIFE`] can do; `None` if none was.
+async fn best(connection: &mut Transaction, now: Timestamp) -> Result<Option<Preparation>, StoreError> {
+    query("SELECT can FROM workers WHERE seen_at >= ? ORDER BY can DESC LIMIT 1")
+        .bind(micros(before(now, WORKER_LIFE)))
+        .optional(connection, |row| preparation(row, "can"))
+        .await
+}
 
 impl Store {
     /// Records that a worker is alive now and what it can do, and forgets those that are not.
@@ -24,17 +48,6 @@ impl Store {
             query("DELETE FROM workers WHERE seen_at < ?")
                 .bind(micros(before(now, WORKER_LIFE)))
                 .run(tx)
-                .await
-        }))
-    }
-
-    /// The most that a worker which was announced within [`WORKER_LIFE`] can do; `None` if none was.
-    pub fn best_worker(&self) -> StoreFuture<'_, Option<Preparation>> {
-        self.call("best_worker").run(self.read(async move |tx| {
-            let now = self.now(&mut *tx).await?;
-            query("SELECT can FROM workers WHERE seen_at >= ? ORDER BY can DESC LIMIT 1")
-                .bind(micros(before(now, WORKER_LIFE)))
-                .optional(tx, |row| preparation(row, "can"))
                 .await
         }))
     }
