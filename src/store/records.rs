@@ -57,8 +57,8 @@ pub struct NewJob {
     pub photographs: Option<Digest>,
     /// Higher runs first; the default is 0.
     pub priority: i32,
-    /// Whether it may resume from the checkpoint of the job that it retries.
-    pub from_checkpoint: bool,
+    /// The job whose checkpoint it may resume from: the one that it retries, or one before it.
+    pub resume_from: Option<JobId>,
     /// The `Idempotency-Key` of the request that creates it.
     pub intent: Option<IdempotentRequest>,
 }
@@ -82,7 +82,7 @@ impl NewJob {
             needs: Preparation::None,
             photographs: None,
             priority: 0,
-            from_checkpoint: false,
+            resume_from: None,
             intent: None,
         }
     }
@@ -167,6 +167,8 @@ pub struct JobRecord {
     pub dataset_id: Option<DatasetId>,
     /// As in [`NewJob::retry_of`]; `None` also once that job is deleted.
     pub retry_of: Option<JobId>,
+    /// As in [`NewJob::resume_from`].
+    pub resume_from: Option<JobId>,
     /// As in [`NewJob::deadline_at`].
     pub deadline_at: Option<Timestamp>,
     /// As in [`NewJob::priority`].
@@ -367,7 +369,7 @@ pub struct RetryRequest {
     pub id: JobId,
     /// As in [`NewJob::key`].
     pub key: Option<KeyId>,
-    /// As in [`NewJob::from_checkpoint`].
+    /// Whether it may resume from the job's checkpoint; if the job never ran, from that which the job was to resume from.
     pub from_checkpoint: bool,
     /// Other options than those of the job.
     pub options: Option<TrainOptions>,

@@ -173,8 +173,11 @@ pub(crate) async fn delete(
         }
     }
     tracing::info!(job = %id, "job {id} is deleted");
-    let workers = Arc::clone(&state.services.workers);
-    spawn_blocking(move || workers.forget(id)).await?;
+    // A retry that waits may resume from its checkpoint, which is removed with that of the retry.
+    if state.store().resumable(&[id]).await?.is_empty() {
+        let workers = Arc::clone(&state.services.workers);
+        spawn_blocking(move || workers.forget(id)).await?;
+    }
     Ok(StatusCode::NO_CONTENT)
 }
 

@@ -54,6 +54,8 @@ pub(super) async fn retry_of(
         return Ok(Some(Err(RetryOutcome::NotRetryable(record.job.state))));
     }
     let options = options.unwrap_or_else(|| record.job.options.clone());
+    // A job that never ran has left the checkpoint where it was.
+    let source = record.resume_from.filter(|_| record.job.attempt == 0).unwrap_or(id);
     let (mut dataset, mut needs, mut photographs) = (record.dataset, record.needs, record.photographs);
     if let Some(of) = photographs
         && options.camera_search() != record.job.options.camera_search()
@@ -73,7 +75,7 @@ pub(super) async fn retry_of(
         retry_of: Some(id),
         deadline_at,
         priority: record.priority,
-        from_checkpoint,
+        resume_from: from_checkpoint.then_some(source),
         intent,
         needs,
         photographs,

@@ -44,6 +44,7 @@ pub static SQLITE: LazyLock<Migrator> = migrations! {
         "0023_sessions",
         "0024_shares",
         "0025_export_formats",
+        "0026_resume_from",
 };
 
 /// Migrations of PostgreSQL databases.
@@ -58,6 +59,7 @@ pub static POSTGRES: LazyLock<Migrator> = migrations! {
         "0007_sessions",
         "0008_shares",
         "0009_export_formats",
+        "0010_resume_from",
 };
 
 /// A migrator that records each file under its version and description.

@@ -201,14 +201,15 @@ impl Store {
         }
         query(
             "INSERT INTO jobs (id, project, owner, name, metadata, scene, retry_of, deadline_at, dataset, options, state, phase,
-                 progress, priority, run_after, max_attempts, from_checkpoint, created_at, needs, photographs)
+                 progress, priority, run_after, max_attempts, resume_from, created_at, needs, photographs)
              VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, 'queued', 'queued', ?, ?, 0, ?, ?, ?, ?, ?)",
         )
         .bind_all(values![new.id.to_string(), new.project.to_string(), new.key.map(|key| key.to_string())])
         .bind_all(values![&new.name, text(&new.metadata)?, new.dataset_id.map(|id| id.to_string())])
         .bind_all(values![new.retry_of.map(|job| job.to_string()), new.deadline_at.map(micros)])
         .bind_all(values![new.dataset.digest.to_string(), text(&new.options)?, text(&Progress::default())?])
-        .bind_all(values![new.priority, self.policy.max_attempts, new.from_checkpoint, micros(now)])
+        .bind_all(values![new.priority, self.policy.max_attempts])
+        .bind_all(values![new.resume_from.map(|job| job.to_string()), micros(now)])
         .bind_all(values![rows::preparation_place(new.needs), new.photographs.map(|of| of.to_string())])
         .execute(&mut *tx)
         .await?;
@@ -417,19 +418,20 @@ impl Store {
         self.call("fail_expired").run(self.fail_overdue())
     }
 
-    /// Those of the jobs whose checkpoints may still be used: by themselves, by a retry that is queued or running, or by one that is made
-    /// within [`QueuePolicy::checkpoint_ttl`] after they failed or were cancelled.
+    /// Those of the jobs whose checkpoints may still be used: by themselves, by a retry that is queued or running, also if they are
+    /// deleted, or by one that is made within [`QueuePolicy::checkpoint_ttl`] after they failed or were cancelled.
     pub fn resumable<'a>(&'a self, jobs: &'a [JobId]) -> StoreFuture<'a, Vec<JobId>> {
         self.call("resumable").run(async move {
             let now = self.now(&self.readers).await?;
             let mut resumable = query("SELECT id FROM jobs WHERE id IN ");
             resumable.push(MEMBERS).push(
-                " AND (state IN ('queued', 'running') OR (state IN ('failed', 'cancelled') AND (finished_at > ? OR EXISTS
-                    (SELECT 1 FROM jobs AS retry WHERE retry.retry_of = jobs.id AND retry.from_checkpoint
-                        AND retry.state IN ('queued', 'running'))))) ORDER BY id",
+                " AND (state IN ('queued', 'running') OR (state IN ('failed', 'cancelled') AND finished_at > ?))
+                 UNION SELECT resume_from FROM jobs WHERE resume_from IN ",
             );
+            resumable.push(MEMBERS).push(" AND state IN ('queued', 'running') ORDER BY id");
+            let jobs = text(&jobs)?;
             resumable
-                .bind_all(values![text(&jobs)?, micros(rows::before(now, self.policy.checkpoint_ttl))])
+                .bind_all(values![&jobs, micros(rows::before(now, self.policy.checkpoint_ttl)), &jobs])
                 .all(&self.readers, rows::job_id)
                 .await
         })

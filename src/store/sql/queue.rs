@@ -257,7 +257,7 @@ pub(super) async fn claim(
              charged = charged + 1, lease_owner = ?2, lease_until = ?3, started_at = ?4, progress_event_at = NULL,
              version = version + 1
          WHERE id = ?5
-         RETURNING id, attempt, lease_until, dataset, needs, photographs, options, retry_of, from_checkpoint",
+         RETURNING id, attempt, lease_until, dataset, needs, photographs, options, resume_from",
     )
     .bind_all(values![text(&Progress::default())?, worker, micros(after(now, policy.lease)), micros(now)])
     .bind(job.to_string())

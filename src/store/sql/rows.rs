@@ -146,10 +146,9 @@ pub(super) fn job_version(row: &Row) -> Result<(JobId, JobVersion), StoreError> 
     Ok((job_id(row)?, JobVersion { version: integer(row, "version")?, state }))
 }
 
-/// The job whose checkpoint a claimed one may resume from.
+/// The job whose checkpoint another may resume from.
 pub(super) fn resume_from(row: &Row) -> Result<Option<JobId>, StoreError> {
-    let may: bool = row.try_get("from_checkpoint")?;
-    Ok(optional_parsed(row, "retry_of")?.filter(|_| may))
+    optional_parsed(row, "resume_from")
 }
 
 /// What a dataset needs, or a worker can do.
@@ -207,6 +206,7 @@ pub(super) fn job(row: &Row, parts: JobParts) -> Result<JobRecord, StoreError> {
         attempts: parts.attempts,
         dataset_id: optional_parsed(row, "scene")?,
         retry_of: optional_parsed(row, "retry_of")?,
+        resume_from: resume_from(row)?,
         deadline_at: optional_instant(row, "deadline_at")?,
         priority: integer(row, "priority")?,
         dataset: blob(row, "dataset")?,

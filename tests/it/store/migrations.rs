@@ -31,6 +31,7 @@ const POSTGRES_CHECKSUMS: &[(i64, &str)] = &[
     (7, "e89b1a5f4c47f398448e513e81ddd81cd4c2bf61c20eda83a2b3bd250404811528654d9db33b9eb8daf3ffde7448bdb8"),
     (8, "8dde77c4742588042cec1009e4ba46c19156c6481d7f08e607f6fedc11a9d2230ec29d7712da80054563a4458401721e"),
     (9, "544fdaf513a02876d25b738883eac7e5fb148bc89af983d70e6b8a01d555d259ce29246f83b16335befbf19de5c35cde"),
+    (10, "080e311beb81cc5481012f648f07de77d2b86f2d167d671d658f5425c6578cbfaa566d4b2847795602773ba96081b036"),
 ];
 
 /// SHA-384 of every migration, by version. A new migration gets a line here, and a line never changes. There was no version 8.
@@ -59,6 +60,7 @@ const CHECKSUMS: &[(i64, &str)] = &[
     (23, "41c8484129fed6be80a6e4a1402c103139179e92563484c90061784c57cb0ec9ed9a6a08410e058bee2c7cb50fbd9855"),
     (24, "747bafe67375530799012dd410052bcafb778addb435505fc434078c5333206c4a8ec38352ca20f5a30fe26cfd1c33b5"),
     (25, "d2f704ef5a3678f88b806a8446b531a912a5ff93bfcf19de7ea4ec036f985836ff48d32d3c04f26384dd272ac51acb6b"),
+    (26, "9af9c4b6d4e2378554b51bc210914c676b891878d46fd33c181955abd7d17e533dc4a21c2067d5963bec517ae632500d"),
 ];
 
 /// Versions whose databases are in `tests/schemas`. A schema is added once a program with it is released.

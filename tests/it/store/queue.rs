@@ -6,8 +6,8 @@ use bytes::Bytes;
 use jiff::{SignedDuration, Timestamp};
 use tcgs::{
     domain::{
-        Clock, Digest, Event, EventKind, JobId, JobState, ManualClock, Metadata, Phase, Problem, ProblemType,
-        Progress, ProjectId, ProjectLimits, SceneFormat, SystemClock, TrainOptions,
+        Clock, Digest, Event, EventKind, JobId, JobState, ManualClock, Metadata, Phase, Preparation, Problem,
+        ProblemType, Progress, ProjectId, ProjectLimits, SceneFormat, SystemClock, TrainOptions,
     },
     store::{
         Artifact, ArtifactKind, AttemptOutcome, BlobRef, Blobs, Cancellation, Claim, DatabaseLocation,
@@ -978,7 +978,7 @@ async fn a_queued_job_shows_its_position_in_its_project_and_its_attempts() {
 async fn positions_are_counted_up_to_a_bound_which_stands_for_all_later_ones() {
     let Some(queue) = Queue::new().await else { return };
     let first = queue.add(1).await;
-    let columns = "project, dataset, options, state, phase, progress, priority, run_after, max_attempts, from_checkpoint";
+    let columns = "project, dataset, options, state, phase, progress, priority, run_after, max_attempts";
     let more = format!(
         "INSERT INTO jobs (id, created_at, {columns})
          WITH RECURSIVE counted (number) AS (SELECT 2 UNION ALL SELECT number + 1 FROM counted WHERE number < 1002)
@@ -1347,6 +1347,69 @@ async fn a_retry_is_a_new_job_that_may_resume_from_the_checkpoint() {
     assert!(
         queue.store.retry_job(JobId(Uuid::from_u128(404)), retry(9, true)).await.expect("read").is_none()
     );
+}
+
+#[tokio::test]
+async fn a_job_that_no_live_worker_can_prepare_is_refused_also_as_a_retry() {
+    let Some(queue) = Queue::new().await else { return };
+    let videos = async |number: u128| {
+        let dataset = BlobRef { digest: Digest::of(b"a video"), bytes: 7 };
+        let new = NewJob::new(JobId(Uuid::from_u128(number)), TrainOptions::default(), dataset);
+        queue.store.create_job(NewJob { needs: Preparation::Video, ..new }).await
+    };
+    let id = videos(1).await.expect("a worker may start later").job.id;
+    queue.store.cancel(id).await.expect("cancelled");
+    for (can, is_able) in
+        [(Preparation::None, false), (Preparation::Poses, false), (Preparation::Video, true)]
+    {
+        queue.store.announce_worker("w", can).await.expect("announced");
+        let number = 10 + can as u128;
+        let retried = queue.store.retry_job(id, retry(100 + number, true)).await.map(drop);
+        for made in [videos(number).await.map(drop), retried] {
+            match made {
+                Ok(()) => assert!(is_able, "{can:?}"),
+                Err(StoreError::NoWorker { needs: Preparation::Video, best }) => {
+                    assert_eq!((best, is_able), (can, false));
+                }
+                Err(error) => panic!("{error}"),
+            }
+        }
+    }
+}
+
+#[tokio::test]
+async fn a_checkpoint_outlives_its_job_while_a_retry_may_resume_from_it() {
+    let Some(queue) = Queue::new().await else { return };
+    let id = queue.add(1).await;
+    queue.store.finish(&queue.lease().await, Outcome::Failed(problem())).await.expect("ended");
+    queue.store.retry_job(id, retry(2, true)).await.expect("answered").expect("known");
+    assert_eq!(queue.store.delete_job(id, None).await.expect("written"), Some(Deletion::Deleted));
+    assert_eq!(queue.store.resumable(&[id]).await.expect("read"), [id], "the retry waits");
+    let claim = queue.claim().await.expect("the retry");
+    assert_eq!(claim.resume_from, Some(id));
+    assert_eq!(queue.store.resumable(&[id]).await.expect("read"), [id], "the retry runs");
+    queue.store.finish(&claim.lease, succeeded()).await.expect("ended");
+    assert_eq!(queue.store.resumable(&[id]).await.expect("read"), []);
+}
+
+#[tokio::test]
+async fn a_retry_of_a_job_that_never_ran_resumes_from_the_same_checkpoint() {
+    let Some(queue) = Queue::new().await else { return };
+    let first = queue.add(1).await;
+    queue.store.finish(&queue.lease().await, Outcome::Failed(problem())).await.expect("ended");
+    let mut last = first;
+    for number in [2, 3] {
+        queue.store.retry_job(last, retry(number, true)).await.expect("answered").expect("known");
+        last = JobId(Uuid::from_u128(number));
+        queue.store.cancel(last).await.expect("cancelled");
+    }
+    queue.store.retry_job(last, retry(4, true)).await.expect("answered").expect("known");
+    let claim = queue.claim().await.expect("a job");
+    assert_eq!(claim.resume_from, Some(first));
+    queue.store.finish(&claim.lease, Outcome::Failed(problem())).await.expect("ended");
+    let ran = claim.lease.job;
+    queue.store.retry_job(ran, retry(5, true)).await.expect("answered").expect("known");
+    assert_eq!(queue.claim().await.expect("a job").resume_from, Some(ran), "which took the checkpoint over");
 }
 
 #[tokio::test]
