@@ -428,7 +428,10 @@ async fn remove_preview(connection: &mut Transaction, job: JobId) -> Result<(), 
         .await
 }
 
-/// The dataset with the cameras of photographs that a job of the project found before, by the same search.
+/// Of the latest jobs of the same photographs, how many are asked for a search by the same options.
+const EARLIER_SEARCHES: u32 = 64;
+
+/// The dataset with the cameras of photographs that one of the latest jobs of the project found before, by the same search.
 pub(super) async fn posed_dataset(
     connection: &mut Transaction,
     project: ProjectId,
@@ -437,9 +440,9 @@ pub(super) async fn posed_dataset(
 ) -> Result<Option<BlobRef>, StoreError> {
     let found = query(
         "SELECT jobs.dataset, blobs.bytes, jobs.options FROM jobs JOIN blobs ON blobs.digest = jobs.dataset
-         WHERE jobs.project = ? AND jobs.photographs = ? ORDER BY jobs.created_at DESC",
+         WHERE jobs.project = ? AND jobs.photographs = ? ORDER BY jobs.created_at DESC LIMIT ?",
     )
-    .bind_all(values![project.to_string(), photographs.to_string()])
+    .bind_all(values![project.to_string(), photographs.to_string(), EARLIER_SEARCHES])
     .fetch_all(connection)
     .await?;
     for row in &found {
