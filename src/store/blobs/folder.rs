@@ -59,7 +59,8 @@ impl Folder {
 
     async fn copy(&self, staged: &StagedBlob) -> Result<(), BlobError> {
         let content = tokio::fs::File::open(staged.path()).await?;
-        write_parts(&self.store, &location(staged.blob().digest), content, BlobError::Store).await
+        let blob = staged.blob();
+        write_parts(&self.store, &location(blob.digest), content, blob.bytes, BlobError::Store).await
     }
 
     /// Renews the blob's age and returns its new modification time; `None` if it does not exist.

@@ -211,7 +211,7 @@ impl Bucket {
         announced: &mut Announcement,
     ) -> Result<(), BlobError> {
         let at = location(blob.digest);
-        let mut writing = pin!(write_parts(&*self.objects, &at, content, BlobError::Bucket));
+        let mut writing = pin!(write_parts(&*self.objects, &at, content, blob.bytes, BlobError::Bucket));
         loop {
             tokio::select! {
                 written = &mut writing => return written,

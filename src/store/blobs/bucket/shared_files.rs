@@ -51,12 +51,13 @@ impl SharedFiles {
     pub async fn save(&self, name: &str, from: &Path) -> Result<(), BlobError> {
         let mut file = File::open(from).await?;
         let name = ObjectPath::from(name);
-        if file.metadata().await?.len() <= PART_BYTES as u64 {
+        let length = file.metadata().await?.len();
+        if length <= PART_BYTES as u64 {
             let mut content = Vec::new();
             file.read_to_end(&mut content).await?;
             return self.0.put(&name, content.into()).await.map(drop).map_err(BlobError::Bucket);
         }
-        write_parts(&*self.0, &name, file, BlobError::Bucket).await
+        write_parts(&*self.0, &name, file, length, BlobError::Bucket).await
     }
 
     /// Loads a file into a new one; folders that it lacks are made.
