@@ -76,8 +76,8 @@ pub use stats::{AttemptCount, StoreStats};
 pub use uploads::{NewUpload, UploadRecord};
 pub use viewers::{VIEWER_LIFE, ViewerRecord};
 pub use webhooks::{
-    AfterAttempt, DeliveryRecord, DeliveryResult, DeliveryState, DueDelivery, EndpointRecord, NewEndpoint,
-    Replay,
+    AfterAttempt, DeliveryRecord, DeliveryResult, DeliveryState, DueDelivery, EndpointRecord, MAX_PAUSE,
+    NewEndpoint, Replay,
 };
 pub use workers::{Claimant, WORKER_LIFE};
 

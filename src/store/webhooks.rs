@@ -9,6 +9,9 @@ use jiff::Timestamp;
 
 use crate::domain::{DeliveryId, EndpointId, JobId, ProjectId, WebhookEvent, WebhookSecret, named_choice};
 
+/// Longer than any pause before another attempt ([`AfterAttempt::RetryAfter`]).
+pub const MAX_PAUSE: Duration = Duration::from_secs(27 * 3600);
+
 /// An endpoint to be added.
 #[derive(Debug)]
 pub struct NewEndpoint {

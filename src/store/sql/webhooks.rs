@@ -11,8 +11,8 @@ use super::{
 use crate::{
     domain::{DeliveryId, EndpointId, JobId, JobState, ProjectId, WebhookEvent},
     store::{
-        AfterAttempt, DeliveryRecord, DeliveryResult, DueDelivery, EndpointRecord, NewEndpoint, Replay,
-        StoreError, StoreFuture,
+        AfterAttempt, DeliveryRecord, DeliveryResult, DueDelivery, EndpointRecord, MAX_PAUSE, NewEndpoint,
+        Replay, StoreError, StoreFuture,
     },
 };
 use jiff::Timestamp;
@@ -32,6 +32,11 @@ const NEXT_ENDPOINT: &str = "
     WHERE NOT EXISTS (SELECT 1 FROM webhook_deliveries o WHERE o.endpoint = d.endpoint AND o.lease_until > ?1)
     ORDER BY (SELECT count(*) FROM webhook_deliveries o JOIN webhook_endpoints s ON s.id = o.endpoint
               WHERE s.project = e.project AND o.lease_until > ?1), d.due_at, d.seq LIMIT 1";
+
+/// Deliveries that are due later than `?1`, or under way until later than `?2`.
+const TOO_LATE: &str = "
+    SELECT id FROM webhook_deliveries WHERE state = 'pending' AND due_at > ?1
+    UNION ALL SELECT id FROM webhook_deliveries WHERE lease_until IS NOT NULL AND lease_until > ?2";
 
 /// How often an endpoint is chosen for one delivery, where other processes take what was chosen.
 const MAX_CHOICES: u32 = 16;
@@ -83,6 +88,28 @@ impl Store {
         let row = query(NEXT_ENDPOINT).bind(now).fetch_optional(&self.readers).await?;
         let Some(row) = row else { return Ok(None) };
         Ok(Some(row.try_get("endpoint")?))
+    }
+
+    /// Makes deliveries due now that wait for longer than any is ever put off, since the clock was set back; returns whether there are any.
+    async fn hasten_deliveries(&self, lease: Duration) -> Result<bool, StoreError> {
+        // Another process may have taken one a moment later than this one's time.
+        let too_late = |now| values![micros(after(now, MAX_PAUSE)), micros(after(now, 2 * lease))];
+        let now = self.now(&self.readers).await?;
+        if query(TOO_LATE).bind_all(too_late(now)).fetch_optional(&self.readers).await?.is_none() {
+            return Ok(false);
+        }
+        self.write(async move |tx, now| {
+            let hastened = query(
+                "UPDATE webhook_deliveries SET due_at = ?3, lease_until = NULL
+                 WHERE (state = 'pending' AND due_at > ?1) OR (lease_until IS NOT NULL AND lease_until > ?2)",
+            )
+            .bind_all(too_late(now))
+            .bind(micros(now))
+            .execute(tx)
+            .await?;
+            Ok(hastened > 0)
+        })
+        .await
     }
 
     /// Takes the delivery of an endpoint that has been due for longest, unless one is under way.
@@ -242,7 +269,12 @@ impl Store {
     pub fn take_delivery(&self, lease: Duration) -> StoreFuture<'_, Option<DueDelivery>> {
         self.call("take_delivery").run(async move {
             for _ in 0..MAX_CHOICES {
-                let Some(endpoint) = self.next_endpoint().await? else { return Ok(None) };
+                let Some(endpoint) = self.next_endpoint().await? else {
+                    if self.hasten_deliveries(lease).await? {
+                        continue;
+                    }
+                    return Ok(None);
+                };
                 let taken = self.take_delivery_of(endpoint, lease).await?;
                 if taken.is_some() {
                     return Ok(taken);

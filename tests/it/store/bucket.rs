@@ -523,6 +523,10 @@ async fn a_lock_of_an_upload_counts_until_it_is_released() {
     fixture.store.unlock_upload(first).await.expect("nothing of its own");
     assert!(!renew(first).await && !add(first, 4, 8).await, "that is the other's lock");
     assert!(renew(second).await && add(second, 4, 8).await);
+    fixture.clock.set_by(SignedDuration::from_hours(-24));
+    let third = lock().await.expect("a lock of tomorrow is from before the clock was set back");
+    assert!(third.number > second.number);
+    assert_eq!(lock().await, None);
     assert_eq!(
         fixture.store.upload_parts(id).await.expect("read"),
         [(0, "a part".to_owned()), (4, "a part".to_owned())]

@@ -4,7 +4,10 @@ use std::time::Duration;
 
 use jiff::SignedDuration;
 use sqlx::{Connection as _, PgConnection};
-use tcgs::domain::ProjectId;
+use tcgs::{
+    domain::ProjectId,
+    store::{AfterAttempt, DeliveryResult},
+};
 
 use super::totals::Fixture;
 use crate::support::{database::Database, eventually::eventually};
@@ -37,6 +40,27 @@ async fn projects_take_turns_however_long_the_messages_of_one_have_been_due() {
         turns.push(project);
     }
     assert_eq!(turns, [1, 2, 3, 1, 2, 3, 1, 2, 3]);
+}
+
+#[tokio::test]
+async fn a_clock_that_is_set_back_delays_no_message() {
+    let Some(fixture) = Fixture::new().await else { return };
+    fixture.endpoint(ProjectId::DEFAULT).await;
+    fixture.clock.set_by(SignedDuration::from_hours(48));
+    fixture.job(1, ProjectId::DEFAULT, None, "a dataset").await;
+    fixture.clock.set_by(SignedDuration::from_hours(-48));
+    // One that is due in the future, and one whose sender died then.
+    for attempt in 1..=2 {
+        let due = fixture.store.take_delivery(LEASE).await.expect("read").expect("a message");
+        assert_eq!(due.attempt, attempt);
+        assert!(fixture.store.take_delivery(LEASE).await.expect("read").is_none(), "it is under way");
+        fixture.clock.set_by(SignedDuration::from_hours(-1));
+    }
+    let due = fixture.store.take_delivery(LEASE).await.expect("read").expect("a message");
+    let next = AfterAttempt::RetryAfter(Duration::from_secs(26 * 3600));
+    let failed = DeliveryResult { response_status: Some(500), error: None, next };
+    fixture.store.finish_delivery(due.id, due.attempt, failed).await.expect("written");
+    assert!(fixture.store.take_delivery(LEASE).await.expect("read").is_none(), "a pause is waited out");
 }
 
 #[tokio::test]
