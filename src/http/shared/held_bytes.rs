@@ -43,10 +43,21 @@ impl HeldBytes {
     /// # Errors
     /// 503 while other answers have it.
     pub(crate) fn hold(&self, bytes: usize) -> ApiResult<Held> {
+        let mut held = Held(None);
+        self.grow(&mut held, bytes)?;
+        Ok(held)
+    }
+
+    /// Takes the room for more of an answer, which has this length by now.
+    ///
+    /// # Errors
+    /// 503 while other answers have it.
+    pub(crate) fn grow(&self, held: &mut Held, bytes: usize) -> ApiResult<()> {
         if bytes <= SMALL {
-            return Ok(Held(None));
+            return Ok(());
         }
-        let permit = u32::try_from(bytes).ok().and_then(|bytes| {
+        let has = held.0.as_ref().map_or(0, OwnedSemaphorePermit::num_permits);
+        let permit = u32::try_from(bytes.saturating_sub(has)).ok().and_then(|bytes| {
             let room = Arc::clone(&self.0);
             room.try_acquire_many_owned(bytes).ok()
         });
@@ -54,7 +65,12 @@ impl HeldBytes {
             let detail = "too many large pictures are being sent to clients that read slowly";
             ProblemType::Busy.because(detail).with_header(header::RETRY_AFTER, RETRY_AFTER)
         };
-        permit.map(|permit| Held(Some(permit))).ok_or_else(full)
+        let more = permit.ok_or_else(full)?;
+        match &mut held.0 {
+            Some(permit) => permit.merge(more),
+            none => *none = Some(more),
+        }
+        Ok(())
     }
 }
 
@@ -70,5 +86,18 @@ mod tests {
         assert!(!room.hold(SMALL).expect("needs none").is_counted());
         drop(first);
         assert!(room.hold(3 << 20).expect("there is room again").is_counted());
+    }
+
+    #[test]
+    fn an_answer_that_grows_takes_the_room_of_its_length() {
+        let room = HeldBytes::new(5 << 20);
+        let mut growing = room.hold(0).expect("needs none");
+        for length in [SMALL, SMALL + 1, 2 << 20, 2 << 20, 4 << 20] {
+            room.grow(&mut growing, length).expect("there is room");
+        }
+        assert_eq!(room.0.available_permits(), 1 << 20);
+        assert!(room.grow(&mut growing, 6 << 20).is_err());
+        drop(growing);
+        assert_eq!(room.0.available_permits(), 5 << 20);
     }
 }

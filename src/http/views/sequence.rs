@@ -170,6 +170,7 @@ async fn shown(
 async fn whole(state: &AppState, file: &WebpAnimation, frames: Response) -> ApiResult {
     let (mut head, body) = frames.into_parts();
     let (mut parts, mut length) = (vec![Bytes::new()], 0);
+    let mut held = state.held_bytes.hold(0)?;
     let mut body = body.into_data_stream();
     while let Some(part) = body.next().await {
         let part = part.map_err(|error| failed(&error))?;
@@ -179,12 +180,12 @@ async fn whole(state: &AppState, file: &WebpAnimation, frames: Response) -> ApiR
                 "the file is longer than {MAX_WHOLE_BYTES} bytes; ask for fewer or smaller pictures, or for apng, which is sent as it is rendered"
             )));
         }
+        state.held_bytes.grow(&mut held, length)?;
         parts.push(part);
     }
     let begin = file.head(length).map_err(|error| failed(&error))?;
     head.headers.insert(header::CONTENT_LENGTH, (begin.len() + length).into());
     parts[0] = begin.into();
-    let held = state.held_bytes.hold(length)?;
     // The room is given back with the last part.
     let sent = parts.into_iter().map(move |part| {
         let _ = &held;
