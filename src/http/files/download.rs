@@ -69,6 +69,7 @@ pub(crate) fn media_type(kind: ArtifactKind) -> &'static str {
 /// A file that is made for one answer, and what is kept until its last byte is sent.
 pub(crate) struct MadeFile<K> {
     pub(crate) bytes: Bytes,
+    pub(crate) digest: Digest,
     pub(crate) media_type: &'static str,
     pub(crate) name: String,
     pub(crate) kept: K,
@@ -80,8 +81,8 @@ pub(crate) fn serve_made<K: Send + 'static>(
     request: &HeaderMap,
     made: MadeFile<K>,
 ) -> ApiResult {
-    let MadeFile { bytes, media_type, name, kept } = made;
-    let blob = BlobRef { digest: Digest::of(&bytes), bytes: bytes.len() as u64 };
+    let MadeFile { bytes, digest, media_type, name, kept } = made;
+    let blob = BlobRef { digest, bytes: bytes.len() as u64 };
     match answer(method, request, blob)? {
         Answer::NotModified(response) => Ok(response),
         Answer::Part { status, part, has_body } => {

@@ -130,13 +130,13 @@ async fn place(
     let placed = spawn_blocking(move || {
         let ply = services.read(&runtime, ply.digest)?;
         let made = PlacedExport { format, up: placement.up, similarity, limit };
-        services.engine.place(&ply, &made, &cameras).map(|bytes| (bytes, turn))
+        services.engine.place(&ply, &made, &cameras).map(|bytes| (Digest::of(&bytes), bytes, turn))
     });
-    let (bytes, turn) = placed.await??;
+    let (digest, bytes, turn) = placed.await??;
     let bytes = bytes.into();
     let File { media_type, name, .. } =
         File::new(record.job.id, ArtifactKind::Scene(format), source.lambda, source.blob);
-    Ok((MadeFile { bytes, media_type, name, kept: turn }, similarity))
+    Ok((MadeFile { bytes, digest, media_type, name, kept: turn }, similarity))
 }
 
 /// 422 for what cannot be.

@@ -54,6 +54,9 @@ type Pieces = BoxStream<'static, Result<Bytes, BlobError>>;
 /// Folder of all blobs.
 const ROOT: &str = "sha256";
 
+/// Longest content that is hashed on a thread that others wait for, and at a time where there is more.
+const HASHED_AT_ONCE: usize = 1 << 20;
+
 /// Common block size of file systems.
 const PROBE_BYTES: usize = 4096;
 
@@ -298,14 +301,16 @@ impl Blobs {
 
     /// As [`Blobs::put`], for callers that may undo it ([`Blobs::unpublish`]).
     pub async fn put_new(&self, content: Bytes) -> Result<Published, BlobError> {
-        let blob = BlobRef { digest: Digest::of(&content), bytes: content.len() as u64 };
+        let blob = BlobRef { digest: digest_of(&content).await?, bytes: content.len() as u64 };
         match &self.0.backend {
             BlobBackend::Folder(folder) => {
                 if folder.renew(blob).await?.is_some() {
                     return Ok(Published { blob, created_at: None });
                 }
                 let mut staging = self.stage(blob.bytes).await?;
-                staging.write(&content).await?;
+                for piece in content.chunks(HASHED_AT_ONCE) {
+                    staging.write(piece).await?;
+                }
                 folder.publish(&staging.finish().await?).await
             }
             BlobBackend::Bucket(bucket) => bucket.put(blob, &content).await,
@@ -327,7 +332,7 @@ impl Blobs {
                 pieces.try_collect::<Vec<Bytes>>().await?.concat().into()
             }
         };
-        match Digest::of(&content) {
+        match digest_of(&content).await? {
             actual if actual == digest => Ok(content),
             actual => Err(BlobError::Damaged { expected: digest, actual }),
         }
@@ -493,6 +498,15 @@ async fn blocking<T: Send + 'static>(
     work: impl FnOnce() -> io::Result<T> + Send + 'static,
 ) -> Result<T, BlobError> {
     Ok(tokio::task::spawn_blocking(work).await.map_err(io::Error::other)??)
+}
+
+/// The digest of content in memory; long content is hashed on a thread for it.
+async fn digest_of(content: &Bytes) -> Result<Digest, BlobError> {
+    if content.len() <= HASHED_AT_ONCE {
+        return Ok(Digest::of(content));
+    }
+    let content = content.clone();
+    blocking(move || Ok(Digest::of(&content))).await
 }
 
 fn missing(digest: Digest) -> impl Fn(object_store::Error) -> BlobError {
