@@ -182,7 +182,8 @@
     const preset = at('train').querySelector('[name=preset]:checked').value;
     const name = at('name').value.trim();
     try {
-      await post('v1/jobs', { dataset_id: dataset.id, preset, ...(name && { name }) }, { 'Idempotency-Key': `${attempt} ${preset} ${name.length}` });
+      const key = `${attempt} ${preset} ${await crc32(new Blob([name]), new AbortController().signal)}`;
+      await post('v1/jobs', { dataset_id: dataset.id, preset, ...(name && { name }) }, { 'Idempotency-Key': key });
       trouble('');
       show('drop');
       page.refresh();
