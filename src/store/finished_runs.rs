@@ -9,7 +9,8 @@ pub struct FinishedRun {
     pub view_pixels: u64,
     /// Training steps a second over the whole run.
     pub steps_per_second: f64,
-    /// Seconds from the start to the end that were not training; `None` if there was more than one attempt.
+    /// Seconds from the start to the end that were not training; `None` if there was more than one attempt,
+    /// and for jobs whose cameras were found or that have several files.
     pub other_seconds: Option<f64>,
 }
 

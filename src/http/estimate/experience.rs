@@ -40,18 +40,17 @@ impl Experience {
         // A stable sort: of equal ones the newest.
         near.sort_by(|a, b| distance(a).total_cmp(&distance(b)));
         near.truncate(MAX_JOBS);
-        let widening = widening(near.len());
         let speed = range(near.iter().flat_map(|run| {
             // The time of a step between none of which, and all of which, grows with the pixels.
             [1.0, ratio(run)].map(|ratio| run.steps_per_second / ratio)
         }))?;
+        let others: Vec<f64> = near.iter().filter_map(|run| run.other_seconds).collect();
         let adapters: BTreeSet<&str> = near.iter().map(|run| &*run.adapter).collect();
         Some(Self {
             count: near.len(),
             adapters: adapters.into_iter().map(str::to_owned).collect(),
-            speed: ValueRange { low: speed.low / widening, high: speed.high * widening },
-            other_seconds: range(near.iter().filter_map(|run| run.other_seconds))
-                .map(|other| ValueRange { low: other.low / widening, high: other.high * widening }),
+            speed: widened(speed, near.len()),
+            other_seconds: range(others.iter().copied()).map(|other| widened(other, others.len())),
         })
     }
 
@@ -61,9 +60,10 @@ impl Experience {
     }
 }
 
-/// The factor by which a range of `count` jobs is widened at both ends: 1.5 for one job.
-fn widening(count: usize) -> f64 {
-    1.0 + 0.5 / count.max(1) as f64
+/// The range of `count` jobs, widened at both ends: by a factor of 1.5 for one job.
+fn widened(range: ValueRange<f64>, count: usize) -> ValueRange<f64> {
+    let factor = 1.0 + 0.5 / count.max(1) as f64;
+    ValueRange { low: range.low / factor, high: range.high * factor }
 }
 
 fn range(values: impl Iterator<Item = f64>) -> Option<ValueRange<f64>> {
@@ -114,6 +114,10 @@ mod tests {
         let alone = Experience::of(&runs[..1], 100).expect("a run");
         assert_eq!(alone.speed, ValueRange { low: 8.0, high: 18.0 });
         assert_eq!(alone.other_seconds, Some(ValueRange { low: 8.0, high: 18.0 }));
+        let several =
+            runs.map(|run| FinishedRun { other_seconds: Some(30.0).filter(|_| run.adapter == "b"), ..run });
+        let other = Experience::of(&several, 100).expect("runs").other_seconds;
+        assert_eq!(other, Some(ValueRange { low: 20.0, high: 45.0 }), "one job of four has them");
     }
 
     #[test]

@@ -17,8 +17,9 @@ const FINISHED_RUNS: Sql = Sql {
         CAST(json_extract(metrics, '$.view_pixels') AS INTEGER) AS view_pixels,
         CAST(json_extract(metrics, '$.steps_per_second') AS REAL) AS speed,
         CAST(json_extract(metrics, '$.seconds.train') AS REAL) AS train_seconds,
-        attempt, started_at, finished_at
-    FROM (SELECT state, options, metrics, attempt, started_at, finished_at FROM jobs
+        attempt, started_at, finished_at,
+        photographs IS NOT NULL OR COALESCE(json_array_length(options, '$.rd_curve'), 0) > 0 AS is_more
+    FROM (SELECT state, options, metrics, attempt, started_at, finished_at, photographs FROM jobs
         ORDER BY created_at DESC, id DESC LIMIT ?) AS newest
     WHERE state = 'succeeded' AND json_extract(metrics, '$.view_pixels') IS NOT NULL
         AND json_extract(options, '$.model') = ? AND json_extract(options, '$.preset') = ?",
@@ -27,8 +28,9 @@ const FINISHED_RUNS: Sql = Sql {
         CAST(CAST(metrics AS jsonb) ->> 'view_pixels' AS bigint) AS view_pixels,
         CAST(CAST(metrics AS jsonb) ->> 'steps_per_second' AS double precision) AS speed,
         CAST(CAST(metrics AS jsonb) #>> '{seconds,train}' AS double precision) AS train_seconds,
-        CAST(attempt AS bigint) AS attempt, started_at, finished_at
-    FROM (SELECT state, options, metrics, attempt, started_at, finished_at FROM jobs
+        CAST(attempt AS bigint) AS attempt, started_at, finished_at,
+        photographs IS NOT NULL OR COALESCE(jsonb_array_length(CAST(options AS jsonb) -> 'rd_curve'), 0) > 0 AS is_more
+    FROM (SELECT state, options, metrics, attempt, started_at, finished_at, photographs FROM jobs
         ORDER BY created_at DESC, id DESC LIMIT ?) AS newest
     WHERE state = 'succeeded' AND CAST(metrics AS jsonb) ->> 'view_pixels' IS NOT NULL
         AND CAST(options AS jsonb) ->> 'model' = ? AND CAST(options AS jsonb) ->> 'preset' = ?",
@@ -48,12 +50,14 @@ fn read(row: &Row) -> Result<FinishedRun, StoreError> {
     let attempts: u32 = rows::integer(row, "attempt")?;
     let took = rows::optional_instant(row, "started_at")?.zip(rows::optional_instant(row, "finished_at")?);
     let trained: f64 = row.try_get("train_seconds")?;
+    // A search for cameras, or the other files of a curve, which few jobs have.
+    let is_more: bool = row.try_get("is_more")?;
     let other =
         took.map(|(started, finished)| (finished.duration_since(started).as_secs_f64() - trained).max(0.0));
     Ok(FinishedRun {
         adapter: row.try_get("adapter")?,
         view_pixels: rows::integer(row, "view_pixels")?,
         steps_per_second: row.try_get("speed")?,
-        other_seconds: other.filter(|_| attempts == 1),
+        other_seconds: other.filter(|_| attempts == 1 && !is_more),
     })
 }

@@ -2,8 +2,8 @@
 
 use jiff::SignedDuration;
 use tcgs::{
-    domain::{JobMetrics, ModelKind, PhaseSeconds, Preset, ProjectId},
-    store::{FinishedRun, Outcome},
+    domain::{Digest, JobMetrics, ModelKind, PhaseSeconds, Preset, ProjectId, TrainOptions},
+    store::{FinishedRun, NewJob, Outcome},
 };
 
 use super::totals::{Fixture, problem};
@@ -22,13 +22,28 @@ async fn finished_runs_are_those_of_the_model_and_preset_with_their_other_second
     let seconds = PhaseSeconds { train: 60.0, ..PhaseSeconds::default() };
     let metrics = JobMetrics { seconds, steps_per_second: 12.5, ..fakes::metrics() };
     finish(1, metrics.clone()).await;
-    finish(2, JobMetrics { view_pixels: None, ..metrics }).await;
+    finish(2, JobMetrics { view_pixels: None, ..metrics.clone() }).await;
+    // Jobs that do more than one file takes have no other seconds.
+    let options = TrainOptions { rd_curve: vec![0.001, 0.002], ..TrainOptions::default() };
+    let curve = NewJob { options, ..fixture.new_job(4, ProjectId::DEFAULT, "a dataset") };
+    let photographs = NewJob {
+        photographs: Some(Digest::of(b"photographs")),
+        ..fixture.new_job(5, ProjectId::DEFAULT, "a dataset")
+    };
+    for job in [curve, photographs] {
+        fixture.store.create_job(job).await.expect("created");
+        let claim = fixture.store.claim("worker").await.expect("an answer").expect("a job");
+        let outcome = Outcome::Succeeded { metrics: Box::new(metrics.clone()), artifacts: vec![] };
+        fixture.store.finish(&claim.lease, outcome).await.expect("ended");
+    }
     fixture.job(3, ProjectId::DEFAULT, None, "a dataset").await;
     fixture.finish(Outcome::Failed(problem())).await;
     let runs = fixture.store.finished_runs(ModelKind::Tcgs, Preset::Preview).await.expect("read");
-    let [FinishedRun { adapter, view_pixels, steps_per_second, other_seconds }] = &runs[..] else {
+    let [newer @ .., FinishedRun { adapter, view_pixels, steps_per_second, other_seconds }] = &runs[..]
+    else {
         panic!("{runs:?}")
     };
+    assert_eq!(newer.iter().map(|run| run.other_seconds).collect::<Vec<_>>(), [None, None]);
     assert_eq!((&**adapter, *view_pixels, *steps_per_second), ("fake", 1280, 12.5));
     let other = other_seconds.expect("one attempt");
     // PostgreSQL has a clock of its own.
