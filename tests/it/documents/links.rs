@@ -1,6 +1,6 @@
-//! Links in the documents lead somewhere, and paths that ARCHITECTURE.md names exist.
+//! Links in the documents lead somewhere, and paths and functions that ARCHITECTURE.md names exist.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use crate::support::tree::{files_under, root, text};
 
@@ -61,9 +61,43 @@ fn paths_in_the_architecture_exist() {
         .filter(|span| span.ends_with(['/']) || span.ends_with(".rs") || span.ends_with(".wgsl"))
         .collect();
     assert!(paths.len() > 20, "{paths:?}");
+    let missing: Vec<&&str> = paths.iter().filter(|path| sources(path).is_empty()).collect();
+    assert!(missing.is_empty(), "{missing:?}");
+}
+
+/// Files and folders that a path of ARCHITECTURE.md may mean.
+fn sources(path: &str) -> Vec<PathBuf> {
     let crates = ["codec", "render", "engine", "lab"].map(|name| format!("crates/tcgs-{name}/src"));
-    let folders: Vec<&str> = crates.iter().map(String::as_str).chain(["src", "."]).collect();
-    let exists = |path: &str| folders.iter().any(|folder| root().join(folder).join(path).exists());
-    let missing: Vec<&&str> = paths.iter().filter(|path| !exists(path)).collect();
+    let folders = crates.iter().map(String::as_str).chain(["src", "."]);
+    folders.map(|folder| root().join(folder).join(path)).filter(|path| path.exists()).collect()
+}
+
+/// Functions after a file's name and a colon, each with the file.
+fn functions(document: &str) -> Vec<(&str, &str)> {
+    let parts: Vec<&str> = document.split('`').collect();
+    let mut found = Vec::new();
+    for file in (1..parts.len()).step_by(2).filter(|at| parts[*at].ends_with(".rs")) {
+        let mut at = file + 1;
+        while at + 1 < parts.len() && parts[at] == if at == file + 1 { ": " } else { ", " } {
+            found.push((parts[file], parts[at + 1]));
+            at += 2;
+        }
+    }
+    found
+}
+
+#[test]
+fn functions_in_the_architecture_exist() {
+    let document = text("ARCHITECTURE.md");
+    let functions = functions(&document);
+    assert!(functions.len() > 20, "{functions:?}");
+    let has = |file: &str, function: &str| {
+        let name = function.rsplit("::").next().unwrap_or(function);
+        sources(file).iter().any(|path| {
+            let text = std::fs::read_to_string(path).unwrap_or_default();
+            ["(", "<"].iter().any(|end| text.contains(&format!("fn {name}{end}")))
+        })
+    };
+    let missing: Vec<_> = functions.iter().filter(|(file, function)| !has(file, function)).collect();
     assert!(missing.is_empty(), "{missing:?}");
 }
