@@ -191,7 +191,7 @@ pub static TRAIN_OPTIONS: [TrainOption; 25] = [
         kind: OptionKind::Integer(1, MAX_GAUSSIANS as u64),
         default: None,
         help: Some(
-            "For the model 3dgs: grow to no more than this number of Gaussians [default: the preset's]",
+            "For the model 3dgs: grow to no more than this number of Gaussians [default: the preset's, or twice the target if more]",
         ),
         set: |options, text| text.parse().ok().map(|number| options.max_gaussians = Some(number)),
     },

@@ -22,6 +22,15 @@ impl PlainTrainer {
 
     /// Prunes those without which the error of the training views grows least, if a round follows `step`.
     pub(super) fn prune_after(&mut self, step: &Step, views: &mut Views<'_>) -> Result<()> {
+        if let Some(pruning) = self.schedule.pruning
+            && pruning.is_missed(step.number, self.rows.count)
+        {
+            tracing::warn!(
+                "target of {} Gaussians not reached: growth ended at {}, and none are pruned",
+                pruning.target,
+                self.rows.count
+            );
+        }
         let Some(kept) = self.kept_after(step.number).filter(|kept| *kept < self.rows.count) else {
             return Ok(());
         };

@@ -20,7 +20,7 @@
 //! would come last: by the fourth root alone runs of 300 and 2000 steps lose half a dB and more (docs/ANALYSIS.md).
 
 use super::{Decay, learning_rate::speedup};
-use crate::domain::{Background, Preset, TrainOptions};
+use crate::domain::{Background, Preset, TrainOptions, options::MAX_GAUSSIANS};
 
 /// Steps that a reset of opacities needs to be made good.
 const RECOVERY: u32 = 600;
@@ -37,6 +37,9 @@ const GROWTH_BEFORE_PRUNING: f32 = 1e-4;
 
 /// Rounds in which Gaussians are pruned to a number: in one, those that stand in for each other would all go.
 const PRUNING_ROUNDS: u32 = 8;
+
+/// Gaussians that a run which is pruned to a number may grow to, for each that is left.
+const GROWN_FOR_EACH_KEPT: u32 = 2;
 
 /// When plain Gaussians are pruned to a number.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -58,6 +61,11 @@ impl PruningToNumber {
     fn step(&self, round: u32) -> u32 {
         self.from
             + (u64::from(self.until - self.from) * u64::from(round) / u64::from(PRUNING_ROUNDS - 1)) as u32
+    }
+
+    /// Whether pruning would begin after `step` with fewer than the target of `count` Gaussians.
+    pub(in crate::train) fn is_missed(&self, step: u32, count: usize) -> bool {
+        step == self.from && count < self.target
     }
 
     /// How many of `count` Gaussians stay after `step`: by the same factor in each of the rounds that are left. None where the step has
@@ -129,14 +137,7 @@ impl PlainSchedule {
             reset_first: options.background == Background::White && reset_every < densify_until,
             degree_every: part(1_000.0).max(1),
             growth_threshold: if options.target_gaussians.is_some() { GROWTH_BEFORE_PRUNING } else { 2e-4 },
-            max_gaussians: options.max_gaussians.map_or(
-                match options.preset {
-                    Preset::Preview => 100_000,
-                    Preset::Standard => 500_000,
-                    Preset::Paper => 2_000_000,
-                },
-                |max| max as usize,
-            ),
+            max_gaussians: options.max_gaussians.unwrap_or_else(|| usual_max_gaussians(options)) as usize,
             pruning: options
                 .target_gaussians
                 .map(|target| PruningToNumber::new(target, densify_until, part(0.75 * 30_000.0))),
@@ -187,6 +188,17 @@ impl PlainSchedule {
     pub(in crate::train) fn degree(&self, step: u32) -> u32 {
         (step / self.degree_every).min(3)
     }
+}
+
+/// Gaussians that growth does not go beyond unless an option bounds it: the preset's number, or enough to prune to a target.
+fn usual_max_gaussians(options: &TrainOptions) -> u32 {
+    let of_preset: u32 = match options.preset {
+        Preset::Preview => 100_000,
+        Preset::Standard => 500_000,
+        Preset::Paper => 2_000_000,
+    };
+    let to_prune = options.target_gaussians.map_or(0, |target| target.saturating_mul(GROWN_FOR_EACH_KEPT));
+    of_preset.max(to_prune).min(MAX_GAUSSIANS)
 }
 
 #[cfg(test)]
@@ -262,6 +274,28 @@ mod tests {
             }
             assert_eq!(pruning.kept_after(pruning.until, 900), Some(1000), "fewer all stay");
         }
+    }
+
+    #[test]
+    fn growth_may_reach_twice_the_number_that_is_left() {
+        let max = |preset, target_gaussians, max_gaussians| {
+            let options = TrainOptions { preset, target_gaussians, max_gaussians, ..TrainOptions::default() };
+            PlainSchedule::new(&options, 300).max_gaussians
+        };
+        assert_eq!(max(Preset::Preview, Some(150_000), None), 300_000);
+        for target in [None, Some(1), Some(50_000)] {
+            assert_eq!(max(Preset::Preview, target, None), 100_000, "{target:?}");
+        }
+        assert_eq!(max(Preset::Preview, Some(150_000), Some(160_000)), 160_000);
+        assert_eq!(max(Preset::Paper, Some(MAX_GAUSSIANS), None), MAX_GAUSSIANS as usize);
+    }
+
+    #[test]
+    fn a_target_is_missed_once_where_pruning_begins_with_fewer() {
+        let options = TrainOptions { target_gaussians: Some(1000), ..TrainOptions::default() };
+        let pruning = PlainSchedule::new(&options, 300).pruning.expect("a number");
+        assert_eq!(at(300, |step| pruning.is_missed(step, 999)), [150]);
+        assert!(at(300, |step| pruning.is_missed(step, 1000)).is_empty());
     }
 
     #[test]
