@@ -91,6 +91,17 @@ fn a_box_leaves_its_gaussians_and_the_figures_are_those_of_the_file() {
 }
 
 #[test]
+fn a_target_size_is_that_of_the_cropped_file() {
+    let limit = run(&options(ModelKind::Tcgs, BOX)).file.len() as u64;
+    let limited = TrainOptions { max_bytes: Some(limit), ..options(ModelKind::Tcgs, BOX) };
+    let output = run(&limited);
+    assert!(output.file.len() as u64 <= limit);
+    let saved = output.metrics.crop.expect("a cost").saved_bytes;
+    let whole = output.file.len() as i64 + saved;
+    assert!(whole > limit as i64, "the whole scene takes {whole} bytes, within the {limit} of its crop");
+}
+
+#[test]
 fn cameras_around_an_object_keep_it_and_a_region_that_has_everything_costs_nothing() {
     let options = |crop| TrainOptions { crop, ..options(ModelKind::Gaussians3d, Crop::None) };
     let cropped = run(&options(Crop::Cameras));

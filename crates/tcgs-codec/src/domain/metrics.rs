@@ -141,7 +141,7 @@ pub struct ByteBudget {
     pub gaussians_dropped: u64,
 }
 
-/// What a crop saved and cost: the delivered file against that of the whole scene, encoded with the same options.
+/// What a crop saved and cost: the delivered file against that of the whole scene, encoded with the same options without a target size.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct CropCost {
     /// The region.

@@ -72,7 +72,7 @@ struct WholeFile {
 
 impl WholeFile {
     /// Crops a trained scene as the options say, after the file of the whole was written and measured; `None` without a crop. Both are
-    /// encoded with the same quantization steps, if training left none.
+    /// encoded with the same quantization steps, if training left none. A target size bounds the cropped file alone.
     fn before_crop(
         inputs: &RunInputs<'_>,
         options: &TrainOptions,
@@ -81,7 +81,7 @@ impl WholeFile {
     ) -> Result<Option<Self>, JobError> {
         let Some(region) = CropRegion::of_dataset(&options.crop, inputs.dataset) else { return Ok(None) };
         let kept = Kept::of(&trained.scene, &region, &options.crop).map_err(JobError::Fail)?;
-        let uncropped = TrainOptions { crop: Crop::None, ..options.clone() };
+        let uncropped = TrainOptions { crop: Crop::None, max_bytes: None, ..options.clone() };
         let whole = write_file(inputs, &uncropped, trained, None, heartbeat)?;
         let psnr = held_out_psnr(inputs, options.background, &whole.file, heartbeat)?;
         kept.apply(trained);
