@@ -17,7 +17,7 @@ use tcgs::{
     gpu::{Device, GpuError},
     ingest::{self, LoadBudget},
     pipeline::{CheckpointPlan, JobError, Pipeline, RunJob as _},
-    train::{Needs, TrainError, Trainer},
+    train::{Needs, RunTooLarge, TrainError, Trainer},
 };
 use tempfile::TempDir;
 
@@ -159,7 +159,7 @@ fn a_run_grows_no_further_than_its_budget() {
 
     device.set_budget_bytes(1 << 20);
     let refused = Trainer::new(&device, &dataset, &options).run(|_| unreachable!("no step"));
-    assert!(matches!(refused, Err(TrainError::OverBudget(_))), "{refused:?}");
+    assert!(matches!(refused, Err(TrainError::TooLarge(RunTooLarge::OverBudget(_)))), "{refused:?}");
 }
 
 #[test]

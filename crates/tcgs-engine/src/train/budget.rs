@@ -6,9 +6,11 @@
 //! ([`crate::gpu::GpuError::OverBudget`]), so a scene beyond the assumptions ends the run with an error and not the process.
 
 use super::{
-    ColorCorrections, Estimate, ImageLoss, OverBudget, PhotographPlace, Schedule,
+    ColorCorrections, Estimate, ImageLoss, OverBudget, PhotographPlace, PhotographTooLarge, RunTooLarge,
+    Schedule,
     batch::REPORT_INTERVAL,
     footprint::{AnchorFootprint, Footprint, PlainFootprint},
+    loss::binding_limit,
     memory_estimate::Part,
     photographs::AHEAD,
     set_sizes::SetSizes,
@@ -166,8 +168,9 @@ impl<'a> Needs<'a> {
     /// begin with. It keeps packed photographs where there is memory left for them.
     ///
     /// # Errors
-    /// [`OverBudget`] if there is none.
-    pub fn within(&self, budget: &MemoryBudget) -> Result<Estimate, OverBudget> {
+    /// [`RunTooLarge`] if there is none.
+    pub fn within(&self, budget: &MemoryBudget) -> Result<Estimate, RunTooLarge> {
+        self.check_photographs()?;
         let size = self.largest_within(budget)?;
         // Where both are one memory, photographs count as main memory, which they come from.
         let places: &[PhotographPlace] = if self.adapter.shares_main_memory() {
@@ -178,6 +181,28 @@ impl<'a> Needs<'a> {
         let mut kept =
             places.iter().filter(|_| self.packed > 0).map(|place| self.estimate_with(size, *place));
         Ok(kept.find(|kept| kept.fits(budget)).unwrap_or_else(|| self.estimate(size)))
+    }
+
+    /// Checks that the adapter can bind the buffers of the largest photograph, which no smaller model makes smaller.
+    fn check_photographs(&self) -> Result<(), PhotographTooLarge> {
+        let (size, limit) = (self.largest, binding_limit(self.adapter));
+        let needed = |size| ImageLoss::largest_buffer_bytes(self.adapter, size);
+        if needed(size) <= limit {
+            return Ok(());
+        }
+        let [width, height] = size.map(u64::from);
+        // As photographs are downscaled.
+        let downscaled = |to: u32| [to, (height * u64::from(to) / width).max(1) as u32];
+        let (mut fits, mut too_wide) = (1, size[0]);
+        while too_wide - fits > 1 {
+            let middle = fits + (too_wide - fits) / 2;
+            if needed(downscaled(middle)) <= limit {
+                fits = middle;
+            } else {
+                too_wide = middle;
+            }
+        }
+        Err(PhotographTooLarge { size, needed: needed(size), limit, max_width: fits })
     }
 
     /// The size of the largest run that `budget` allows without packed photographs.
@@ -210,7 +235,9 @@ impl<'a> Needs<'a> {
 mod tests {
     use super::*;
     use crate::{
-        domain::{Camera, Digest, Frame, Image, Intrinsics, Layout, PointCloud, Pose, Problem, Split},
+        domain::{
+            Camera, Digest, Frame, Image, Intrinsics, Layout, PointCloud, Pose, Problem, ProblemType, Split,
+        },
         gpu::testing::software_report,
     };
 
@@ -280,13 +307,40 @@ mod tests {
     }
 
     #[test]
+    fn photographs_beyond_what_the_adapter_binds_are_refused_with_a_width_that_fits() {
+        let (adapter, options) = (software_report(), TrainOptions::default());
+        let ample = MemoryBudget { host: u64::MAX, gpu: u64::MAX };
+        let within = |largest| {
+            let one = SetSizes::of(&dataset(&[(64, 48)], 100));
+            Needs::of_sizes(SetSizes { largest, ..one }, &options, &adapter).within(&ample)
+        };
+        assert!(within([3200, 2400]).is_ok());
+        for size in [[4000, 3000], [3000, 4000], [8192, 8192]] {
+            let error = within(size).expect_err("beyond 8.4 megapixels");
+            let RunTooLarge::Photograph(PhotographTooLarge { needed, limit, max_width, .. }) = error else {
+                panic!("another error: {error}")
+            };
+            assert!(needed > limit && limit == 128 * MIB);
+            let at = |width: u32| [width, (size[1] * width / size[0])];
+            assert!(within(at(max_width)).is_ok() && within(at(max_width + 1)).is_err(), "{max_width}");
+            let problem = Problem::from(error);
+            assert!(problem.is(ProblemType::SceneTooLarge));
+            let [width, height] = size;
+            for words in [&format!("{width} x {height}"), "128.0 MiB", &format!("max_width of {max_width}")] {
+                assert!(problem.detail.contains(words), "'{}' should say '{words}'", problem.detail);
+            }
+        }
+    }
+
+    #[test]
     fn what_cannot_hold_the_points_is_refused_with_every_part_and_what_to_do() {
         let (adapter, options) = (software_report(), TrainOptions::default());
         let dataset = dataset(&[(64, 48)], 15_000);
         let budget = MemoryBudget { host: u64::MAX, gpu: 16 * MIB };
         let error = Needs::of(&dataset, &options, &adapter).within(&budget).expect_err("too little");
+        let RunTooLarge::OverBudget(error) = error else { panic!("another error: {error}") };
         assert_eq!(error.needed.size, 15_000);
-        let problem = Problem::from(error);
+        let problem = Problem::from(RunTooLarge::from(error));
         assert_eq!(problem.status, 507);
         for words in ["16.0 MiB", "15000 anchors", "rasterizer", "photographs", "--gpu-memory", "smaller"] {
             assert!(problem.detail.contains(words), "'{}' should say '{words}'", problem.detail);

@@ -2,7 +2,7 @@
 
 use thiserror::Error;
 
-use super::{CheckpointError, OverBudget};
+use super::{CheckpointError, RunTooLarge};
 use crate::{
     domain::{PhotographError, Problem, ProblemType},
     gpu::GpuError,
@@ -59,9 +59,9 @@ pub enum TrainError {
     /// A photograph cannot be read back.
     #[error(transparent)]
     Photograph(#[from] PhotographError),
-    /// The run does not fit the memory budget.
+    /// The run does not fit the memory budget or the adapter.
     #[error(transparent)]
-    OverBudget(#[from] OverBudget),
+    TooLarge(#[from] RunTooLarge),
     /// The run cannot resume from the given checkpoint.
     #[error(transparent)]
     Checkpoint(#[from] CheckpointError),
@@ -85,7 +85,7 @@ impl From<TrainError> for Problem {
             TrainError::Gpu(error) => error.into(),
             TrainError::Render(error) => error.into(),
             TrainError::Photograph(error) => error.into(),
-            TrainError::OverBudget(error) => error.into(),
+            TrainError::TooLarge(error) => error.into(),
             TrainError::Checkpoint(error) => error.into(),
             other => Problem::new(ProblemType::TrainingFailed, other.to_string()),
         }

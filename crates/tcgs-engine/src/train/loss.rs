@@ -211,8 +211,8 @@ impl Division {
     }
 }
 
-/// Bytes of the largest buffer.
-fn binding_limit(adapter: &AdapterReport) -> u64 {
+/// Bytes of the largest buffer that kernels can be given.
+pub(super) fn binding_limit(adapter: &AdapterReport) -> u64 {
     adapter.max_binding_bytes.min(adapter.max_buffer_bytes)
 }
 
@@ -344,6 +344,13 @@ impl ImageLoss {
         let large = adapter.variant.choose(2, 1) * binding_limit(adapter);
         let smaller = if division.channels < CHANNELS { large } else { 0 };
         buffer_bytes::<ImageUniform>(1) + buffer_bytes::<ConstraintUniform>(1) + fields.max(smaller)
+    }
+
+    /// Bytes of the largest buffer that images of `size` need; the render's own has as many for each pixel as the gradient.
+    pub(super) fn largest_buffer_bytes(adapter: &AdapterReport, size: [u32; 2]) -> u64 {
+        let division = Division::of(size, RUN, adapter);
+        let elements = [division.pixels(), division.moments(), division.derivatives(), division.max_shares()];
+        elements.into_iter().map(buffer_bytes::<[f32; 4]>).fold(0, u64::max)
     }
 
     /// Records the loss of `render` against `photograph` (packed 8-bit RGB, one word a pixel, red lowest) and its gradient; without

@@ -105,8 +105,41 @@ pub struct OverBudget {
     pub budget: MemoryBudget,
 }
 
-impl From<OverBudget> for Problem {
-    fn from(error: OverBudget) -> Self {
-        Problem::new(ProblemType::MemoryBudget, error.to_string())
+/// A photograph is too large for the buffers that the adapter can bind.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Error)]
+#[error(
+    "the photograph with the most pixels, {} x {}, needs a buffer of {}, and the adapter binds at most {}: downscale photographs by a \
+     max_width of {max_width} or less (--max-width), or use another adapter",
+    size[0], size[1], Bytes(*needed), Bytes(*limit)
+)]
+pub struct PhotographTooLarge {
+    /// Its width and height.
+    pub size: [u32; 2],
+    /// Bytes of the largest buffer that it needs.
+    pub needed: u64,
+    /// Bytes of the largest buffer that the adapter binds.
+    pub limit: u64,
+    /// The largest width at which it fits.
+    pub max_width: u32,
+}
+
+/// Why a machine has no room for a run, however small its model.
+#[derive(Debug, Clone, PartialEq, Eq, Error)]
+pub enum RunTooLarge {
+    /// Its memory does not suffice.
+    #[error(transparent)]
+    OverBudget(#[from] OverBudget),
+    /// Its adapter cannot bind a photograph's buffers.
+    #[error(transparent)]
+    Photograph(#[from] PhotographTooLarge),
+}
+
+impl From<RunTooLarge> for Problem {
+    fn from(error: RunTooLarge) -> Self {
+        let kind = match error {
+            RunTooLarge::OverBudget(_) => ProblemType::MemoryBudget,
+            RunTooLarge::Photograph(_) => ProblemType::SceneTooLarge,
+        };
+        Problem::new(kind, error.to_string())
     }
 }

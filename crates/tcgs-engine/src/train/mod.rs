@@ -55,7 +55,7 @@ pub use exposure::{ColorCorrections, Learning};
 pub use loss::{ImageLoss, LossSums};
 pub use mask_weight::MaskWeightGrowth;
 pub use masks::{FIRST_LOGIT, MaskRows, OffsetMasks};
-pub use memory_estimate::{Estimate, OverBudget, PhotographPlace};
+pub use memory_estimate::{Estimate, OverBudget, PhotographPlace, PhotographTooLarge, RunTooLarge};
 pub use rate_control::{RateControl, RateControlState, SizeAim, SizeLimit};
 pub use refine::Refinement;
 pub use schedule::{

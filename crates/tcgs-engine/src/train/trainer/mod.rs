@@ -104,7 +104,7 @@ impl<'a, 'c> Trainer<'a, 'c> {
     /// Trains to the last step. `observer` is called every few steps, and at once if the run resumes from a checkpoint.
     ///
     /// # Errors
-    /// [`TrainError`]; [`TrainError::Checkpoint`] and [`TrainError::OverBudget`] only before the first step.
+    /// [`TrainError`]; [`TrainError::Checkpoint`] and [`TrainError::TooLarge`] only before the first step.
     pub fn run(self, mut observer: impl FnMut(&Progress)) -> Result<Trained> {
         let cancel = self.cancel.clone();
         self.run_until(Goal::End, &mut observer)?.finish(&cancel)
