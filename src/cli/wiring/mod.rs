@@ -247,7 +247,7 @@ pub(crate) fn score(
                 Problem::new(ProblemType::Internal, detail)
             };
             let mut score = target.score(name, &render).ok_or_else(different)?;
-            let half = target.right_half(&render).ok_or_else(different)?;
+            let half = target.right_half(&render);
             if let Some(lpips) = lpips {
                 let distance = lpips.distance(&target.masked(&render), target.photograph());
                 score.lpips = Some(distance.map_err(|error| Problem::from(error).in_file(name))?);
@@ -257,7 +257,7 @@ pub(crate) fn score(
         collect: &mut |(score, half, render, target)| {
             each(&score.name, &render, target.photograph())?;
             scores.push(score);
-            halves.push(half);
+            halves.extend(half);
             Ok(())
         },
     };

@@ -21,7 +21,7 @@ named_choice! {
 /// How `exposure=auto` was decided: by training views that a short run was not trained on.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct ExposureTrial {
-    /// Training views set aside.
+    /// Training views set aside, without those of which a mask hides one half.
     pub views: usize,
     /// Mean PSNR in dB over their right halves that corrections fitted to their left halves gain over a common one.
     pub gain: f64,

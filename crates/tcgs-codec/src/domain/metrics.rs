@@ -44,7 +44,7 @@ pub struct Scores {
 /// one that fits a view's left half best. Means over views, of 8-bit images.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct ColorFitScores {
-    /// Held-out views measured.
+    /// Held-out views measured: those with pixels that count in both halves.
     pub views: usize,
     /// PSNR of the right halves as rendered, in dB.
     pub psnr: f64,

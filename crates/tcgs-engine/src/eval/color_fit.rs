@@ -142,7 +142,8 @@ impl ColorFit {
 }
 
 impl Target {
-    /// The sums over the left half of a view: the columns before the middle one. `None` if the render is not of the photograph's shape.
+    /// The sums over the left half of a view: the columns before the middle one. `None` if no pixel of it counts, or the render is not of
+    /// the photograph's shape.
     #[must_use]
     pub fn left_half(&self, render: &Image) -> Option<LeftHalf> {
         let mut sums = LeftHalf::default();
@@ -151,10 +152,11 @@ impl Target {
                 sums.add(from, to);
             }
         })?;
-        Some(sums)
+        (sums.pixels > 0.0).then_some(sums)
     }
 
-    /// PSNR over the right half of a view in dB, with a correction or as rendered. `None` if the render is not of the photograph's shape.
+    /// PSNR over the right half of a view in dB, with a correction or as rendered. `None` if no pixel of it counts, or the render is not
+    /// of the photograph's shape.
     #[must_use]
     pub fn right_half_psnr(&self, render: &Image, fit: Option<&ColorFit>) -> Option<f64> {
         let (mut squares, mut samples) = (0_u64, 0_u64);
@@ -165,11 +167,12 @@ impl Target {
                 samples += 3;
             }
         })?;
-        let mse = squares as f64 / (255.0 * 255.0) / samples.max(1) as f64;
-        Some(if mse > 0.0 { (-10.0 * mse.log10()).min(PSNR_CEILING) } else { PSNR_CEILING })
+        let mse = squares as f64 / (255.0 * 255.0) / samples as f64;
+        (samples > 0).then(|| if mse > 0.0 { (-10.0 * mse.log10()).min(PSNR_CEILING) } else { PSNR_CEILING })
     }
 
-    /// A view's right half with and without the correction that fits the left one. `None` if the render is not of the photograph's shape.
+    /// A view's right half with and without the correction that fits the left one. `None` if either half has no pixel that counts, or the
+    /// render is not of the photograph's shape.
     #[must_use]
     pub fn right_half(&self, render: &Image) -> Option<RightHalf> {
         let fit = self.left_half(render)?.fit();
@@ -270,15 +273,28 @@ mod tests {
     }
 
     #[test]
-    fn a_view_of_one_color_and_one_without_pixels_have_a_fit() {
+    fn a_view_of_one_color_has_a_fit() {
         let gray = |level: u8| Image::new(6, 4, 3, vec![level; 72]).expect("an image");
         let half = Target::new(gray(120), None).right_half(&gray(100)).expect("comparable");
         assert!(half.corrected_psnr > 45.0, "{half:?}");
-        let nothing = Target::new(gray(120), Some(PixelMask::from_fn(6, 4, |_, _| false)));
-        assert_eq!(nothing.right_half(&gray(100)).expect("comparable").corrected_psnr, PSNR_CEILING);
+    }
+
+    #[test]
+    fn a_view_of_which_one_half_does_not_count_has_no_figures() {
+        let render = image(6, 4, 3);
+        let masked = |counts: fn(u32) -> bool| {
+            let mask = PixelMask::from_fn(6, 4, |x, _| counts(x));
+            Target::new(map(&render, exposed), Some(mask))
+        };
+        let (left, right) = (masked(|x| x < 3), masked(|x| x > 2));
+        assert_eq!([left.right_half(&render), right.right_half(&render)], [None; 2]);
+        assert_eq!((left.right_half_psnr(&render, None), right.left_half(&render)), (None, None));
+        assert!(left.left_half(&render).is_some() && right.right_half_psnr(&render, None).is_some());
+        assert_eq!(masked(|_| false).right_half(&render), None);
+        assert!(masked(|x| x == 2 || x == 3).right_half(&render).is_some());
+        // A column alone is all right half.
         let column = Image::new(1, 4, 3, vec![9; 12]).expect("an image");
-        let half = Target::new(column.clone(), None).right_half(&column).expect("comparable");
-        assert_eq!(half.corrected_psnr, PSNR_CEILING);
+        assert_eq!(Target::new(column.clone(), None).right_half(&column), None);
     }
 
     #[test]

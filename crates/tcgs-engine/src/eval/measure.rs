@@ -35,7 +35,7 @@ impl<E: From<RenderError> + Send> ViewMeasurement<'_, E> {
         })
     }
 
-    /// As [`Self::scores`], each with the view's right half.
+    /// As [`Self::scores`], with the right halves of the views that have figures of them.
     ///
     /// # Errors
     /// As [`Self::scores`].
@@ -45,9 +45,10 @@ impl<E: From<RenderError> + Send> ViewMeasurement<'_, E> {
         lpips: Option<&dyn PerceptualDistance>,
     ) -> Result<(Vec<ViewScore>, Vec<RightHalf>), E> {
         let both = self.compare(frames, in_flight(lpips), &|frame, render, target| {
-            Some((score_with(lpips, &frame.name, render, target)?, target.right_half(render)?))
+            Some((score_with(lpips, &frame.name, render, target)?, target.right_half(render)))
         })?;
-        Ok(both.into_iter().unzip())
+        let (scores, halves): (Vec<_>, Vec<_>) = both.into_iter().unzip();
+        Ok((scores, halves.into_iter().flatten().collect()))
     }
 
     /// The mean PSNR of the frames, without the time that SSIM takes; `None` without frames.

@@ -91,8 +91,15 @@ impl Trial<'_> {
             }
             Err(error) => return Err(error),
         };
-        let gain = self.gain(&scene, &aside)?;
-        Ok(ExposureChoice::by(ExposureTrial { views: aside.len(), gain, needed: NEEDED_GAIN }))
+        let gains = self.gains(&scene, &aside)?;
+        if gains.is_empty() {
+            tracing::warn!(
+                "color corrections are off, since masks hide half of every view that their trial set aside"
+            );
+            return Ok(ExposureChoice::OFF);
+        }
+        let gain = gains.iter().sum::<f64>() / gains.len() as f64;
+        Ok(ExposureChoice::by(ExposureTrial { views: gains.len(), gain, needed: NEEDED_GAIN }))
     }
 
     /// The scene of a short run without corrections and without anything that only shrinks files.
@@ -118,9 +125,10 @@ impl Trial<'_> {
         Ok(trained.scene)
     }
 
-    /// Mean PSNR in dB over the right halves of views that corrections of their left halves gain over the one that fits all left halves
-    /// at once. The common one makes up for what a scene of few steps lacks; exposures that differ it cannot make up for.
-    fn gain(&self, scene: &Scene, aside: &[&Frame]) -> Result<f64> {
+    /// PSNR in dB over the right halves of views that corrections of their left halves gain over the one that fits all left halves at
+    /// once. The common one makes up for what a scene of few steps lacks; exposures that differ it cannot make up for. Views of which
+    /// one half has no pixel that counts have no gain.
+    fn gains(&self, scene: &Scene, aside: &[&Frame]) -> Result<Vec<f64>> {
         let background = self.options.background;
         let mut renderer = Renderer::of_scene(self.device, scene, background)?;
         let mut views = Vec::new();
@@ -145,8 +153,7 @@ impl Trial<'_> {
             let psnr = |fit: ColorFit| target.right_half_psnr(render, Some(&fit));
             Some(psnr(half.fit())? - psnr(common)?)
         });
-        let gains: Vec<f64> = gains.collect();
-        Ok(gains.iter().sum::<f64>() / gains.len().max(1) as f64)
+        Ok(gains.collect())
     }
 }
 

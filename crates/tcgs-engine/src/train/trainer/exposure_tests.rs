@@ -5,7 +5,10 @@ use rand::RngExt;
 
 use super::*;
 use crate::{
-    domain::{Camera, ColorFitScores, Digest, Image, Intrinsics, Layout, ModelKind, PointCloud, Pose},
+    domain::{
+        Camera, ColorFitScores, Digest, Image, Intrinsics, Layout, ModelKind, PixelMask, PointCloud, Pose,
+        evenly_spaced::evenly_spaced,
+    },
     eval::{ViewMeasurement, mean_color_fit},
     gpu::testing::lavapipe,
     render::{
@@ -216,6 +219,25 @@ fn held_out_views_have_no_part_in_the_trial() {
     let held_out = other.frames.iter_mut().filter(|frame| frame.split == Split::Test);
     held_out.for_each(|frame| frame.image = black.clone().into());
     assert_eq!(chosen(&whole, &options), chosen(&other, &options));
+}
+
+#[test]
+fn views_of_which_a_mask_hides_one_half_have_no_part_in_the_decision() {
+    let options = options(ModelKind::Gaussians3d, 500, Exposure::Auto);
+    let mut exposed = dataset(&gains());
+    let train: Vec<&Frame> = exposed.split(Split::Train).collect();
+    let aside: Vec<String> = evenly_spaced(&train, 2).map(|frame| frame.name.clone()).collect();
+    let [width, height] = SIZE;
+    let mut hide = |name: &str, hidden: std::ops::Range<u32>| {
+        let frame = exposed.frames.iter_mut().find(|frame| frame.name == name).expect("a view");
+        frame.mask = Some(PixelMask::from_fn(width, height, |x, _| !hidden.contains(&x)));
+        exposed.clone()
+    };
+    let one = hide(&aside[0], width / 2..width);
+    let both = hide(&aside[1], 0..width / 2);
+    let choice = chosen(&one, &options);
+    assert_eq!((choice.corrected, choice.trial.map(|trial| trial.views)), (true, Some(1)), "{choice:?}");
+    assert_eq!(chosen(&both, &options), ExposureChoice::OFF);
 }
 
 #[test]
