@@ -3,7 +3,7 @@
 //! Invariants: the frame depends on cameras and points alone, and follows their place and unit; every length that training knows is
 //! one of the frame.
 
-use glam::DVec3;
+use glam::{DVec3, Vec3};
 
 use super::{
     Result,
@@ -22,7 +22,7 @@ pub(super) struct TrainingSet {
     pub(super) init_box: InitBox,
 }
 
-/// Points in the frame of a scene.
+/// Points in the frame of a scene, all finite.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub(super) struct Points {
     pub(super) positions: Vec<[f32; 3]>,
@@ -83,9 +83,22 @@ impl TrainingSet {
 }
 
 impl Points {
+    /// Without the points of `cloud` that single precision cannot hold in the frame.
     fn of(cloud: &PointCloud, frame: SceneFrame) -> Self {
-        let inside = |position: &[f64; 3]| frame.from_world(DVec3::from(*position)).as_vec3().to_array();
-        Self { positions: cloud.positions.iter().map(inside).collect(), colors: cloud.colors.clone() }
+        let inside = |position: &[f64; 3]| frame.from_world(DVec3::from(*position)).as_vec3();
+        let positions: Vec<Vec3> = cloud.positions.iter().map(inside).collect();
+        let kept: Vec<bool> = positions.iter().map(|position| position.is_finite()).collect();
+        let too_far = kept.iter().filter(|kept| !**kept).count();
+        if too_far > 0 {
+            tracing::warn!("{too_far} points are left out, since they are too far from the scene");
+        }
+        fn only<T: Copy, U>(values: &[T], kept: &[bool], of: impl Fn(T) -> U) -> Vec<U> {
+            values.iter().zip(kept).filter(|(_, kept)| **kept).map(|(value, _)| of(*value)).collect()
+        }
+        Self {
+            positions: only(&positions, &kept, |position| position.to_array()),
+            colors: only(&cloud.colors, &kept, |color| color),
+        }
     }
 }
 
@@ -186,6 +199,19 @@ mod tests {
                 assert_eq!(other.points, set.points, "{factor}");
             }
         }
+    }
+
+    #[test]
+    fn points_that_single_precision_cannot_hold_in_the_frame_are_left_out_with_their_colors() {
+        let cloud = |colors: Vec<[u8; 3]>| PointCloud {
+            positions: vec![[1.0, 2.0, 3.0], [0.0, 2e38, 0.0], [-1.0, 0.0, 1e300], [4.0, 5.0, 6.0]],
+            colors,
+        };
+        let frame = SceneFrame::new(DVec3::ZERO, 0.25).expect("a frame");
+        let points = Points::of(&cloud(vec![[1; 3], [2; 3], [3; 3], [4; 3]]), frame);
+        assert_eq!(points.positions, [[4.0, 8.0, 12.0], [16.0, 20.0, 24.0]]);
+        assert_eq!(points.colors, [[1; 3], [4; 3]]);
+        assert_eq!(Points::of(&cloud(Vec::new()), frame).colors, [[0; 3]; 0]);
     }
 
     #[test]
