@@ -1,7 +1,8 @@
 //! Plain Gaussians as binary glTF 2.0 with the extension `KHR_gaussian_splatting`: every attribute is an array of floats.
 //!
 //! Positions and spherical harmonics are those of the scene bit for bit. Sizes and opacities are stored after activation and rotations
-//! as unit quaternions x, y, z, w, as the extension demands. Coordinates are those of the `.ply`; glTF's upward axis is y.
+//! as unit quaternions x, y, z, w, as the extension demands. Coordinates are those of the `.ply`; glTF's upward axis is y. All floats are
+//! finite and no array is empty, since glTF allows neither.
 
 use serde_json::{Value, json};
 use thiserror::Error;
@@ -31,6 +32,9 @@ pub enum GlbError {
     /// Its parts do not fit together.
     #[error(transparent)]
     Scene(#[from] SceneShapeError),
+    /// Not one Gaussian is left.
+    #[error("the scene has no Gaussian, and a .glb needs at least one")]
+    Empty,
     /// Lengths in the file have 32 bits.
     #[error("{0} Gaussians take more than the 4 GiB of a .glb")]
     TooMany(usize),
@@ -42,8 +46,8 @@ pub enum GlbError {
 /// [`GlbError`].
 pub fn to_glb(scene: &GaussianScene) -> Result<Vec<u8>, GlbError> {
     scene.check()?;
+    let (min, max) = bounds(scene).ok_or(GlbError::Empty)?;
     let mut buffer = Buffer::new(scene.len());
-    let (min, max) = bounds(scene);
     buffer.floats("POSITION", scene.means.iter().copied());
     if let Some(position) = buffer.accessors.last_mut() {
         position["min"] = json!(min);
@@ -51,7 +55,8 @@ pub fn to_glb(scene: &GaussianScene) -> Result<Vec<u8>, GlbError> {
     }
     buffer.colors(scene);
     buffer.floats(&named("ROTATION"), scene.quats.iter().map(|quat| xyzw(*quat)));
-    buffer.floats(&named("SCALE"), scene.log_scales.iter().map(|log| log.map(f32::exp)));
+    let size = |log: f32| log.exp().min(f32::MAX);
+    buffer.floats(&named("SCALE"), scene.log_scales.iter().map(|logs| logs.map(size)));
     buffer.floats(&named("OPACITY"), scene.opacity_logits.iter().map(|logit| [opacity(*logit) as f32]));
     for function in 0..functions(scene.degree) {
         let degree = degree_of(function);
@@ -73,11 +78,12 @@ fn xyzw(quat: [f32; 4]) -> [f32; 4] {
     if length > 0.0 { [x, y, z, w].map(|part| (part / length) as f32) } else { [0.0, 0.0, 0.0, 1.0] }
 }
 
-fn bounds(scene: &GaussianScene) -> ([f32; 3], [f32; 3]) {
-    let Some(first) = scene.means.first() else { return ([0.0; 3], [0.0; 3]) };
-    scene.means.iter().fold((*first, *first), |(min, max), mean| {
+/// Opposite corners of the box around the positions; `None` without any.
+fn bounds(scene: &GaussianScene) -> Option<([f32; 3], [f32; 3])> {
+    let first = scene.means.first()?;
+    Some(scene.means.iter().fold((*first, *first), |(min, max), mean| {
         ([0, 1, 2].map(|axis| min[axis].min(mean[axis])), [0, 1, 2].map(|axis| max[axis].max(mean[axis])))
-    })
+    }))
 }
 
 /// The binary part with the tables that describe it.
@@ -174,4 +180,30 @@ fn assembled(buffer: &Buffer, scene: &GaussianScene) -> Option<Vec<u8>> {
         file.extend(chunk);
     }
     Some(file)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::domain::gaussians::SH_COEFFICIENTS;
+
+    #[test]
+    fn a_scene_without_gaussians_is_refused() {
+        assert_eq!(to_glb(&GaussianScene::default()), Err(GlbError::Empty));
+    }
+
+    #[test]
+    fn sizes_beyond_single_precision_are_its_largest_number() {
+        let scene = GaussianScene {
+            means: vec![[0.0; 3]],
+            log_scales: vec![[89.0, 0.0, -200.0]],
+            quats: vec![[1.0, 0.0, 0.0, 0.0]],
+            opacity_logits: vec![0.0],
+            sh: vec![[[0.0; 3]; SH_COEFFICIENTS]],
+            ..GaussianScene::default()
+        };
+        let file = to_glb(&scene).expect("writes");
+        let sizes = [f32::MAX, 1.0, 0.0].map(f32::to_le_bytes).concat();
+        assert!(file.windows(sizes.len()).any(|window| window == sizes));
+    }
 }
