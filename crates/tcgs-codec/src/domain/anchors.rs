@@ -11,6 +11,10 @@ use super::{NearPlane, SceneFrame, SceneScale, ViewDegree};
 /// Values per anchor in `scalings`: three scale the offsets, three are the base size of its Gaussians.
 pub const SCALINGS_PER_ANCHOR: usize = 6;
 
+/// Most values of a feature, and most offsets an anchor: far more than any model has, and few enough to compute sizes with. Arrays of a
+/// scene without anchors are empty whatever its widths.
+const MAX_WIDTH: usize = 1 << 16;
+
 /// The lattice that anchor positions live on: `position = cell * voxel + origin`, per axis.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Lattice {
@@ -161,6 +165,11 @@ impl AnchorScene {
     pub fn check(&self) -> Result<(), SceneShapeError> {
         let n = self.len();
         let (f, k) = (self.feature_dim, self.offsets_per_anchor);
+        for (what, width) in [("values of a feature", f), ("offsets per anchor", k)] {
+            if width > MAX_WIDTH {
+                return Err(SceneShapeError(format!("{width} {what} are more than {MAX_WIDTH}")));
+            }
+        }
         let lengths = [
             ("features", self.features.len(), n * f),
             ("scalings", self.scalings.len(), n * SCALINGS_PER_ANCHOR),

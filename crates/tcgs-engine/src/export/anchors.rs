@@ -475,6 +475,25 @@ mod tests {
     }
 
     #[test]
+    fn widths_that_no_size_can_be_computed_with_are_refused() {
+        for (feature_dim, offsets_per_anchor) in [(usize::MAX, 2), (2, usize::MAX), (usize::MAX - 3, 2)] {
+            let empty = AnchorScene {
+                feature_dim,
+                offsets_per_anchor,
+                cells: Vec::new(),
+                features: Vec::new(),
+                scalings: Vec::new(),
+                offsets: Vec::new(),
+                masks: Vec::new(),
+                ..scene()
+            };
+            let bytes = write(&empty, Background::Black, None).expect("writes");
+            let error = read(&bytes).expect_err("refused").to_string();
+            assert!(error.contains("are more than 65536"), "{error}");
+        }
+    }
+
+    #[test]
     fn files_of_other_programs_are_refused_with_what_is_missing() {
         let values = 1.0_f32.to_le_bytes();
         let view = TensorView::new(Dtype::F32, vec![1], &values).expect("a tensor");
