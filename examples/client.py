@@ -28,6 +28,8 @@ SLOWEST = 32 << 10
 # How long a request is repeated while an earlier one for the same thing is still being answered, in seconds.
 UNDER_WAY = 600
 TERMINAL = {"succeeded", "failed", "cancelled"}
+# Options by which a dataset is checked before there is a job.
+READING = ("skip_missing", "masks", "mask_mode")
 
 # Too many requests, and a service or proxy that is busy or starts again: the same request may succeed later.
 LATER = {429, 502, 503, 504}
@@ -145,8 +147,8 @@ def make(service, path, wish):
     return service.ask("POST", path, headers=headers, json=wish).json()
 
 
-def upload(service, path, part=PART):
-    """Sends a zip in parts and returns the id of the dataset that is made of it."""
+def upload(service, path, part=PART, reading=None):
+    """Sends a zip in parts and returns the id of the dataset that is made of it. `reading` has the options that its check needs too."""
     tus = {"Tus-Resumable": "1.0.0"}
     size = os.path.getsize(path)
 
@@ -195,7 +197,7 @@ def upload(service, path, part=PART):
                 breaks += 1
                 if breaks > TRIES:
                     raise Refused(f"the upload broke off at byte {offset} of {size}")
-    return make(service, "/v1/datasets", {"upload_id": upload_id})["id"]
+    return make(service, "/v1/datasets", {"upload_id": upload_id, **(reading or {})})["id"]
 
 
 def events(lines):
@@ -306,7 +308,8 @@ def main():
             options[name] = value
 
     service = Service(arguments.server, arguments.pause)
-    dataset = upload(service, arguments.dataset, arguments.part)
+    reading = {name: options[name] for name in READING if name in options}
+    dataset = upload(service, arguments.dataset, arguments.part, reading)
     job = make(service, "/v1/jobs", {"dataset_id": dataset, **options})
     print(f"job {job['id']}", file=sys.stderr)
     finished = follow(service, job["id"])

@@ -71,11 +71,11 @@ pub(crate) fn run(args: &Args) -> Result<Report, CliError> {
     }
     let archive = Archive::open(&args.dataset)?;
     super::run(async {
-        let made =
-            match upload::scene_of(&connection, &archive, args.part_bytes.0, options.skip_missing).await? {
-                Some(scene) => of_scene(&connection, &scene, request).await?,
-                None => of_archive(&connection, &archive, &request).await?,
-            };
+        let read = options.reading();
+        let made = match upload::scene_of(&connection, &archive, args.part_bytes.0, &read).await? {
+            Some(scene) => of_scene(&connection, &scene, request).await?,
+            None => of_archive(&connection, &archive, &request).await?,
+        };
         let (whole, view) = job::read(made)?;
         if !args.wait {
             return Ok(job::created(whole, &view, &args.server));

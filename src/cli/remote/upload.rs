@@ -10,6 +10,7 @@ use reqwest::{
 };
 use serde_json::{Value, json};
 use sha2::{Digest as _, Sha256};
+use tcgs::domain::{MaskMode, MaskSource, ReadOptions};
 
 use super::{
     Connection,
@@ -29,7 +30,7 @@ pub(super) async fn scene_of(
     connection: &Connection,
     archive: &Archive,
     part_bytes: u64,
-    skip_missing: bool,
+    read: &ReadOptions,
 ) -> Result<Option<String>, CliError> {
     if archive.bytes <= part_bytes || !takes_parts(connection).await? {
         return Ok(None);
@@ -44,14 +45,25 @@ pub(super) async fn scene_of(
         text(&created, LOCATION.as_str()).ok_or_else(|| unexpected("it names no place for the upload"))?;
     send_parts(connection, archive, part_bytes, &upload).await?;
     let id = upload.rsplit('/').next().unwrap_or_default();
-    let mut wanted = json!({ "upload_id": id });
-    if skip_missing {
-        // Earlier services do not know the field.
-        wanted["skip_missing"] = true.into();
-    }
-    let scene: Value = document(connection.post("/v1/scenes", &wanted).await?).await?;
+    let scene: Value = document(connection.post("/v1/scenes", &request(id, read)).await?).await?;
     let id = scene["id"].as_str().ok_or_else(|| unexpected("its scene has no id"))?;
     Ok(Some(id.to_owned()))
+}
+
+/// The request for a dataset of an upload, without fields that have their defaults: earlier services do not know all of them.
+fn request(upload: &str, read: &ReadOptions) -> Value {
+    let ReadOptions { masks, mask_mode, skip_missing, .. } = read;
+    let mut wanted = json!({ "upload_id": upload });
+    if *skip_missing {
+        wanted["skip_missing"] = true.into();
+    }
+    if *masks != MaskSource::default() {
+        wanted["masks"] = json!(masks);
+    }
+    if *mask_mode != MaskMode::default() {
+        wanted["mask_mode"] = json!(mask_mode);
+    }
+    wanted
 }
 
 async fn takes_parts(connection: &Connection) -> Result<bool, CliError> {
@@ -115,4 +127,23 @@ fn offset_of(answer: &Response) -> Result<u64, CliError> {
 
 fn text(answer: &Response, header: &str) -> Option<String> {
     answer.headers().get(header)?.to_str().ok().map(str::to_owned)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_dataset_is_checked_as_its_job_will_read_it() {
+        assert_eq!(request("u", &ReadOptions::default()), json!({ "upload_id": "u" }));
+        let read = ReadOptions {
+            masks: MaskSource::None,
+            mask_mode: MaskMode::CutOut,
+            skip_missing: true,
+            ..ReadOptions::default()
+        };
+        let wanted =
+            json!({ "upload_id": "u", "masks": "none", "mask_mode": "cut_out", "skip_missing": true });
+        assert_eq!(request("u", &read), wanted);
+    }
 }

@@ -15,7 +15,9 @@ use super::{
     representation,
 };
 use crate::{
-    domain::{Caller, DatasetId, Digest, ProblemType, ProjectId, ReadOptions, UploadId},
+    domain::{
+        Caller, DatasetId, Digest, MaskMode, MaskSource, ProblemType, ProjectId, ReadOptions, UploadId,
+    },
     http::{
         problem::{Answer as _, ApiResult, ProblemResponse},
         request::{
@@ -47,7 +49,7 @@ struct SceneFields {
     project: ProjectId,
     name: Option<String>,
     upload: Option<UploadId>,
-    skip_missing: bool,
+    read: ReadOptions,
     intent: Option<IdempotentRequest>,
 }
 
@@ -58,10 +60,14 @@ struct CreateSceneRequest {
     name: Option<String>,
     #[serde(default)]
     skip_missing: bool,
+    #[serde(default)]
+    masks: MaskSource,
+    #[serde(default)]
+    mask_mode: MaskMode,
 }
 
 impl JsonBody for CreateSceneRequest {
-    const EXPECTED: &'static str = "{\"upload_id\": ID, \"name\": TEXT, \"skip_missing\": BOOLEAN}";
+    const EXPECTED: &'static str = "{\"upload_id\": ID, \"name\": TEXT, \"skip_missing\": BOOLEAN, \"masks\": TEXT, \"mask_mode\": TEXT}";
 }
 
 /// `POST /v1/datasets`.
@@ -108,7 +114,7 @@ async fn from_archive(
     body: &mut BodyDataStream,
 ) -> ApiResult<CreateOutcome<CreatedScene>> {
     let CreateRequest { state, caller, uri, headers } = request;
-    let (name, skip_missing) = fields_of(Parameters::parse(uri.query())?)?;
+    let (name, read) = fields_of(Parameters::parse(uri.query())?)?;
     let announced = content_digest::announced(headers)?;
     let guard = request.begin()?;
     let project = caller.project;
@@ -116,7 +122,7 @@ async fn from_archive(
     let received = receive(state, project, headers, body).await?;
     content_digest::check(announced, received.blob().digest)?;
     let intent = request.intent(guard.as_ref(), received.blob().digest);
-    let fields = SceneFields { project, name, upload: None, skip_missing, intent: intent.clone() };
+    let fields = SceneFields { project, name, upload: None, read, intent: intent.clone() };
     idempotent(request, intent, keep(state, received, fields)).await
 }
 
@@ -132,17 +138,24 @@ async fn from_form(
     let _slot = state.upload_slot(project)?;
     let form = receive_form(state, project, headers, body).await?;
     let intent = request.intent(guard.as_ref(), form.digest()?);
-    let (name, skip_missing) = fields_of(parameters.with(form.fields)?)?;
-    let fields = SceneFields { project, name, upload: None, skip_missing, intent: intent.clone() };
+    let (name, read) = fields_of(parameters.with(form.fields)?)?;
+    let fields = SceneFields { project, name, upload: None, read, intent: intent.clone() };
     idempotent(request, intent, keep(state, form.dataset, fields)).await
 }
 
-/// Name and `skip_missing`, by the query or a form.
-fn fields_of(mut parameters: Parameters) -> ApiResult<(Option<String>, bool)> {
+/// The name, and how the files are read, by the query or a form.
+fn fields_of(mut parameters: Parameters) -> ApiResult<(Option<String>, ReadOptions)> {
     let name = parameters.take("name").map(checked_name).transpose()?;
     let skip_missing = parameters.take_as("skip_missing", "true or false")?.unwrap_or(false);
+    let mask_mode = parameters.take_as("mask_mode", "auto, ignore or cut_out")?.unwrap_or_default();
+    let masks = parameters.take("masks").map(|text| {
+        // Not trimmed, since the name of a folder may begin with a space.
+        text.parse::<MaskSource>()
+            .map_err(|error| ProblemResponse::parameter("masks", format!("'{text}' is {error}")))
+    });
+    let masks = masks.transpose()?.unwrap_or_default();
     parameters.finish()?;
-    Ok((name, skip_missing))
+    Ok((name, ReadOptions { skip_missing, masks, mask_mode, ..ReadOptions::default() }))
 }
 
 async fn from_upload(
@@ -152,7 +165,8 @@ async fn from_upload(
     let CreateRequest { state, caller, uri, headers } = request;
     Parameters::parse(uri.query())?.finish()?;
     let content = read_json(body, headers, &state.limits).await?;
-    let CreateSceneRequest { upload_id, name, skip_missing } = parse_json(&content)?;
+    let CreateSceneRequest { upload_id, name, skip_missing, masks, mask_mode } = parse_json(&content)?;
+    let read = ReadOptions { skip_missing, masks, mask_mode, ..ReadOptions::default() };
     let name = name.map(checked_name).transpose()?;
     let guard = request.begin()?;
     let intent = request.intent(guard.as_ref(), Digest::of(&content));
@@ -178,8 +192,7 @@ async fn from_upload(
         let name = name.or_else(from_metadata);
         // An administrator's request may name another project's upload.
         let project = record.project;
-        let fields =
-            SceneFields { project, name, upload: Some(record.id), skip_missing, intent: intent.clone() };
+        let fields = SceneFields { project, name, upload: Some(record.id), read, intent: intent.clone() };
         let created = keep(state, received, fields).await?;
         if created.is_ok()
             && let Err(error) = state.blobs().remove_upload(record.id).await
@@ -212,13 +225,13 @@ async fn keep(
     received: ReceivedDataset,
     fields: SceneFields,
 ) -> ApiResult<Result<CreatedScene, StoreError>> {
-    let SceneFields { project, name, upload, skip_missing, intent } = fields;
+    let SceneFields { project, name, upload, read, intent } = fields;
     let dataset = received.blob();
     let known = state.store().dataset_by_archive(project, dataset.digest).await?;
     let (received, summary) = match known {
         Some(known) if known.kept => (received, known.summary),
         // One that came with a job may have been checked by its options.
-        _ => received.check(state, ReadOptions { skip_missing, ..ReadOptions::default() }).await?,
+        _ => received.check(state, read).await?,
     };
     let new = NewDataset {
         id: DatasetId(state.services.new_uuid()),

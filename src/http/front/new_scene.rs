@@ -19,6 +19,7 @@ pub(super) fn panel() -> Markup {
                 input #files type="file" multiple hidden aria-label="Files";
                 input #folder type="file" webkitdirectory hidden aria-label="Folder";
                 p.hint { "JPEG, PNG or WebP photographs, a video, or a dataset with its cameras." }
+                p { label { input #unmasked type="checkbox"; " Read photographs whole, without masks" } }
             }
             div #sending hidden {
                 p { b #sending-name {} }

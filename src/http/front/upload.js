@@ -124,6 +124,8 @@
   const fail = fault => { show('drop'); if (fault.name !== 'AbortError') trouble(fault instanceof Failure ? fault.message : silent); };
 
   let dataset = null;
+  // How its files are read: the same for its check, its estimates and its job.
+  let reading = {};
   let attempt = '';
   let stop = new AbortController();
 
@@ -151,7 +153,8 @@
       });
       at('stop').hidden = true;
       say('The service checks the dataset', 1);
-      dataset = await post('v1/datasets', { upload_id: upload });
+      reading = at('unmasked').checked ? { masks: 'none' } : {};
+      dataset = await post('v1/datasets', { upload_id: upload, ...reading });
       remembered.set(key, null);
       await offer(name.replace(/\.\w+$/, ''));
     } catch (fault) { fail(fault); }
@@ -170,7 +173,7 @@
     at('train').querySelector('button').focus();
     for (const output of outputs) {
       try {
-        const estimate = await post('v1/estimate', { dataset_id: dataset.id, preset: output.dataset.preset });
+        const estimate = await post('v1/estimate', { dataset_id: dataset.id, preset: output.dataset.preset, ...reading });
         const time = estimate.seconds ? span(estimate.seconds, duration) : 'a time not known yet';
         output.textContent = `${grouped(estimate.steps)} steps, ${time}, ${span(estimate.file_bytes, size)}`;
       } catch (fault) { output.textContent = fault instanceof Failure ? fault.message : silent; }
@@ -183,7 +186,7 @@
     const name = at('name').value.trim();
     try {
       const key = `${attempt} ${preset} ${await crc32(new Blob([name]), new AbortController().signal)}`;
-      await post('v1/jobs', { dataset_id: dataset.id, preset, ...(name && { name }) }, { 'Idempotency-Key': key });
+      await post('v1/jobs', { dataset_id: dataset.id, preset, ...reading, ...(name && { name }) }, { 'Idempotency-Key': key });
       trouble('');
       show('drop');
       page.refresh();

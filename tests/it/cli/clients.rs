@@ -509,6 +509,19 @@ async fn a_large_dataset_goes_in_parts_and_becomes_a_job_of_a_scene() {
     assert_eq!(whole["metadata"], json!({ "site": "north", "note": "a=b&c, d" }));
 }
 
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_large_dataset_is_checked_as_its_job_reads_it() {
+    let server = Server::start(&Coverage::default()).await;
+    let folder = tempfile::tempdir().expect("a folder");
+    let url = format!("http://{}", server.address);
+    let zip = dataset(folder.path(), "succeed with astray masks");
+    let submit = line!["submit", zip, "--server", url, "--unchecked", "--part-bytes", "8", "--json"];
+    let refused = failed(&run(submit.clone()).await, 3);
+    assert_eq!(refused["type"], "urn:tcgs:problem:dataset-rejected");
+    let job = succeeded(&run([submit, line!["--masks", "none"]].concat()).await);
+    assert_eq!(job["options"]["masks"], "none");
+}
+
 /// A service that refuses the first requests to begin an upload and to make a scene.
 #[derive(Clone, Default)]
 struct Crowded {

@@ -246,6 +246,14 @@ async fn the_client_in_python_brings_a_scene_and_a_view() {
     let job = job.await.expect(200).json();
     assert_eq!((&job["options"]["iterations"], &job["options"]["preset"]), (&7.into(), &"standard".into()));
 
+    // Options that the check of the dataset needs come before the job.
+    fs::write(folder.path().join("astray.zip"), "succeed with astray masks").expect("writes");
+    let mut unmasked = python_client("client.py", folder.path());
+    unmasked.arg("astray.zip").env(KEY, &key.key);
+    unmasked.args(["--server", &format!("http://{}", server.address), "--frame", "test/r_0"]);
+    unmasked.args(["--option", "masks=none"]);
+    finishes(unmasked).await;
+
     let mut refused = python_client("client.py", folder.path());
     refused.arg(&dataset).args(["--server", &format!("http://{}", server.address), "--frame", "x"]);
     refused.env_remove(KEY);

@@ -144,6 +144,7 @@ scenarios! {
         a_dataset_is_kept_once_and_found_again,
         both_names_of_datasets_mean_the_same,
         missing_photographs_are_left_out_if_that_is_asked_for,
+        masks_are_read_as_is_asked_for,
         a_scope_on_datasets_is_that_on_scenes,
         what_cannot_be_a_scene_is_refused_before_there_is_one,
         a_body_is_held_to_its_announced_digest,

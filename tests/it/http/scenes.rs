@@ -7,7 +7,10 @@ use tcgs::{
 };
 use uuid::Uuid;
 
-use super::connections::tight_limits;
+use super::{
+    connections::tight_limits,
+    uploads::{begin, part},
+};
 use crate::support::{
     contract::Coverage,
     eventually::within,
@@ -70,6 +73,28 @@ pub(super) async fn missing_photographs_are_left_out_if_that_is_asked_for(covera
     let wanted = json!({ "dataset_id": dataset["id"], "skip_missing": true });
     let job = server.post_json("/v1/jobs", &wanted).await.expect(201).json();
     assert_eq!(job["options"]["skip_missing"], true);
+}
+
+pub(super) async fn masks_are_read_as_is_asked_for(coverage: Coverage) {
+    let server = Server::start_with(&coverage, idle()).await;
+    let post = async |query: &str| keep(&server, query, "succeed with astray masks").await;
+    for query in ["", "?masks=auto", "?masks=my%20masks", "?mask_mode=cut_out"] {
+        post(query).await.expect_problem(422, "dataset-rejected");
+    }
+    for query in ["?masks=../masks", "?mask_mode=cut"] {
+        post(query).await.expect_problem(422, "invalid-parameter");
+    }
+    post("?masks=none&mask_mode=ignore").await.expect(201);
+
+    // An upload's check takes them by the names that jobs have them by.
+    let content = b"succeed in parts with astray masks";
+    let upload = begin(&server, content.len()).await;
+    part(&server, &upload, 0, content).await.expect(204);
+    let id = upload.rsplit('/').next();
+    let refused = server.post_json("/v1/datasets", &json!({ "upload_id": id })).await;
+    refused.expect_problem(422, "dataset-rejected");
+    let wanted = json!({ "upload_id": id, "masks": "none", "mask_mode": "auto" });
+    server.post_json("/v1/datasets", &wanted).await.expect(201);
 }
 
 pub(super) async fn both_names_of_datasets_mean_the_same(coverage: Coverage) {

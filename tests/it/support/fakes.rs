@@ -16,10 +16,10 @@ use tcgs::{
         AnchorScene, Background, ByteCounts, Camera, CancelFlag, CodingEfficiency, CodingStages,
         ColorFitScores, Conventions, Crop, CropCost, CurvePoint, DatasetSummary, Digest, ExportFidelity,
         ExportedScene, ExposureChoice, ExposureTrial, HeldOut, HeldOutView, Image, Intrinsics, JobId,
-        JobMetrics, JobNeeds, Lattice, Layout, LpipsNetwork, MemoryNeeds, Mlp, NamedCamera, NearPlane, Phase,
-        PhaseSeconds, Pose, Preview, Problem, ProblemType, Progress, ReadOptions, RenderNetworks,
-        RenderingError, Scene, SceneFormat, SceneFrame, SceneScale, Scores, Split, TrainOptions, ValueRange,
-        ViewScore, WorkerCounts, Workers,
+        JobMetrics, JobNeeds, Lattice, Layout, LpipsNetwork, MaskSource, MemoryNeeds, Mlp, NamedCamera,
+        NearPlane, Phase, PhaseSeconds, Pose, Preview, Problem, ProblemType, Progress, ReadOptions,
+        RenderNetworks, RenderingError, Scene, SceneFormat, SceneFrame, SceneScale, Scores, Split,
+        TrainOptions, ValueRange, ViewScore, WorkerCounts, Workers,
     },
     engine::{PlacedExport, SceneEngine, SceneSource},
     pipeline::{CheckpointPlan, CurveFile, JobError, JobOutput, RunJob},
@@ -404,6 +404,11 @@ impl SceneEngine for FakeEngine {
         {
             let error = "1 of the 3 images listed here are missing: images/0.png";
             return Err(Problem::new(ProblemType::InvalidDataset, error).in_file("transforms.json"));
+        }
+        let has_astray_masks = || fs::read(archive).is_ok_and(|content| content.ends_with(b"astray masks"));
+        if reading.masks != MaskSource::None && has_astray_masks() {
+            let error = "no mask has the name of a photograph; train without masks (masks=none)";
+            return Err(Problem::new(ProblemType::DatasetRejected, error));
         }
         (self.check)(archive)
     }

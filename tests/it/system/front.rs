@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use serde_json::{Value, json};
-use tcgs::store::JobFilter;
+use tcgs::{domain::MaskSource, store::JobFilter};
 
 use crate::support::{
     browser::{self, Page},
@@ -70,6 +70,24 @@ async fn files_that_are_chosen_become_scenes_and_the_list_follows() {
     let mut first = String::new();
     std::io::Read::read_to_string(&mut archive.by_name("a.jpg").expect("there"), &mut first).expect("whole");
     assert_eq!(first, "the first");
+
+    // What is refused for its masks is read without them, and trained so.
+    let astray = write("astray.zip", b"succeed with astray masks");
+    choose(&mut page, "#files", &[&astray]).await;
+    page.until("document.querySelector('#trouble').textContent", |text| {
+        text.as_str().is_some_and(|text| text.contains("masks=none"))
+    })
+    .await;
+    page.faults.retain(|fault| !fault.contains("422"));
+    page.evaluate("document.querySelector('#unmasked').click()").await;
+    choose(&mut page, "#files", &[&astray]).await;
+    train(&mut page).await;
+    page.until(STATES, |states| *states == "succeeded,succeeded,succeeded").await;
+    let jobs = server.store.jobs(&JobFilter::default(), None, 1).await.expect("read");
+    assert_eq!(jobs[0].job.options.masks, MaskSource::None);
+    let unmasked = format!("/v1/jobs/{}", jobs[0].job.id);
+    server.send("DELETE", &unmasked, |request| request).await.expect(204);
+    page.until(STATES, |states| *states == "succeeded,succeeded").await;
 
     // What others do is seen, and what is running is cancelled here.
     let running = server.create("wait").await;
