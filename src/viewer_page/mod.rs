@@ -146,7 +146,7 @@ fn page(scene: &ViewerScene, policy: Option<&str>, parts: &Markup) -> Markup {
             body {
                 main #stage tabindex="0" aria-label="The scene; drag or use the arrow keys to turn it" {
                     canvas #canvas {}
-                    img #picture alt="The scene from the chosen place" hidden;
+                    img #picture alt="The scene from the chosen place" draggable="false" hidden;
                     canvas #overlay hidden {}
                     img #photograph alt="The photograph" hidden;
                     input #wipe type="range" min="0" max="100" value="50" aria-label="Photograph beside the scene" hidden;

@@ -128,8 +128,8 @@ async fn a_page_from_a_disk_decodes_and_draws_the_scene_as_this_machine_does() {
     assert!(requests.is_empty(), "{requests:?}");
 }
 
-/// The camera's distance from what it looks at in the last view that the page asks the service for once it rests.
-async fn settled_distance(page: &mut Page) -> f64 {
+/// Where the camera is and what it looks at, in the last view that the page asks the service for once it rests.
+async fn settled_view(page: &mut Page) -> (Vec<f64>, Vec<f64>) {
     page.until("document.getElementById('stage').dataset.picture", |picture| *picture == "full").await;
     let of = |url: &String| {
         let url = reqwest::Url::parse(url).ok().filter(|url| url.path().ends_with("/view"))?;
@@ -137,10 +137,15 @@ async fn settled_distance(page: &mut Page) -> f64 {
             let (_, text) = url.query_pairs().find(|(found, _)| found == name)?;
             text.split(',').map(|number| number.parse().ok()).collect()
         };
-        let (from, to) = (vector("position")?, vector("look_at")?);
-        Some(from.iter().zip(&to).map(|(a, b)| (a - b).powi(2)).sum::<f64>().sqrt())
+        Some((vector("position")?, vector("look_at")?))
     };
     page.requests.iter().rev().find_map(of).expect("a view was asked for")
+}
+
+/// The camera's distance from what it looks at there.
+async fn settled_distance(page: &mut Page) -> f64 {
+    let (from, to) = settled_view(page).await;
+    from.iter().zip(&to).map(|(a, b)| (a - b).powi(2)).sum::<f64>().sqrt()
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
@@ -162,8 +167,14 @@ async fn without_webgpu_the_service_draws_the_page_s_pictures() {
     for step in 1..=5 {
         page.mouse("mouseMoved", 200.0 + 12.0 * f64::from(step), 300.0 + 3.0 * f64::from(step)).await;
     }
-    page.mouse("mouseReleased", 260.0, 315.0).await;
     page.until(source, |now| *now != before).await;
+    // The scene follows to the end: the picture under the mouse is not what is dragged.
+    let before = settled_view(&mut page).await;
+    for step in 6..=10 {
+        page.mouse("mouseMoved", 200.0 + 12.0 * f64::from(step), 300.0 + 3.0 * f64::from(step)).await;
+    }
+    assert_ne!(settled_view(&mut page).await, before);
+    page.mouse("mouseReleased", 320.0, 330.0).await;
     let first = page.evaluate(source).await;
     for (name, by) in [("ArrowLeft", "turned"), ("+", "nearer"), (".", "at the next camera")] {
         let before = page.evaluate(source).await;
