@@ -126,7 +126,8 @@ fn with_cameras(
     options: &TrainOptions,
     interruption: &Interruption,
 ) -> Result<Option<(TempDir, PathBuf)>, CliError> {
-    if !ingest::lacks_cameras(&args.dataset) {
+    let lacks_cameras = ingest::lacks_cameras(&args.dataset, &options.reading());
+    if !lacks_cameras.map_err(|problem| wiring::named(problem, &args.dataset))? {
         return Ok(None);
     }
     if args.checkpoint.is_some() || args.resume.is_some() {

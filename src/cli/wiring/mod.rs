@@ -76,7 +76,7 @@ pub(crate) fn load_as(path: &Path, reading: &ReadOptions) -> Result<Dataset, Pro
 }
 
 /// Names the dataset in a problem that names no file in it.
-fn named(problem: Problem, path: &Path) -> Problem {
+pub(crate) fn named(problem: Problem, path: &Path) -> Problem {
     match problem.file {
         None => problem.in_file(path.display().to_string()),
         Some(_) => problem,

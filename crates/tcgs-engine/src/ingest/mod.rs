@@ -185,10 +185,24 @@ pub fn check(path: &Path) -> Result<DatasetSummary, Problem> {
     Ok(check_within(path, &Limits::default())?)
 }
 
-/// Whether `path` has photographs, or a video, that no file says the cameras of.
-#[must_use]
-pub fn lacks_cameras(path: &Path) -> bool {
-    check(path).is_ok_and(|summary| summary.layout.lacks_cameras())
+/// Whether `path` has photographs, or a video, that no file says the cameras of. Of a dataset with cameras nothing else is reported: that
+/// is left to who loads it.
+///
+/// # Errors
+/// What is wrong with the photographs or the video, as [`check`] says it.
+pub fn lacks_cameras(path: &Path, reading: &ReadOptions) -> Result<bool, Problem> {
+    let limits = Limits::default();
+    let options = SurveyOptions { reading: reading.clone(), decode_bytes: 0, should_continue: &|| true };
+    match survey_for(Purpose::Check(Deadline::NONE), path, &limits, &options) {
+        Err(error) if is_without_layout(&error) => {
+            match unposed::check(Deadline::NONE, path, &limits, reading.max_width) {
+                // Loading says where a layout was looked for.
+                Err(error) if is_without_layout(&error) => Ok(false),
+                checked => Ok(checked.map(|_| true)?),
+            }
+        }
+        Ok(_) | Err(_) => Ok(false),
+    }
 }
 
 /// The cameras of a dataset's frames, in the order of [`Dataset::frames`], checked as [`check`] does.

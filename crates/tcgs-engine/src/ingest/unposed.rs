@@ -213,7 +213,7 @@ fn summary(tree: &Tree, limits: &Limits, max_width: MaxWidth) -> Result<DatasetS
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::domain::{Problem, ProblemType};
+    use crate::domain::{Problem, ProblemType, ReadOptions};
 
     fn put(folder: &Path, name: &str, content: &[u8]) {
         let path = folder.join(name);
@@ -252,6 +252,24 @@ mod tests {
         put(folder.path(), "e.heic", b"");
         let problem = Problem::from(Unposed::find(folder.path()).expect_err("not read"));
         assert!(problem.detail.contains("`magick mogrify -format "), "{problem}");
+    }
+
+    #[test]
+    fn a_dataset_without_cameras_is_told_from_what_is_wrong_with_photographs() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let lacks = || super::super::lacks_cameras(folder.path(), &ReadOptions::default());
+        assert_eq!(lacks(), Ok(false), "loading says that there is nothing");
+        for name in ["1.png", "2.png"] {
+            put(folder.path(), name, &photograph(4));
+        }
+        let refused = lacks().expect_err("two photographs");
+        assert!(refused.is(ProblemType::TooFewPhotographs), "{refused}");
+        put(folder.path(), "3.png", &photograph(4));
+        assert_eq!(lacks(), Ok(true));
+        put(folder.path(), "4.heic", b"");
+        assert_eq!(lacks().expect_err("not read").file.as_deref(), Some("4.heic"));
+        put(folder.path(), "transforms.json", b"{");
+        assert_eq!(lacks(), Ok(false), "what is wrong with a dataset is left to who loads it");
     }
 
     #[test]
