@@ -306,6 +306,14 @@ fn points_in_ply_beside_colmap_tables_are_read() {
         assert_eq!(dataset.points.expect("points").colors, [[10, 20, 30], [40, 50, 60]]);
         assert!(dataset.notes.is_empty(), "{:?}", dataset.notes);
     }
+    // A table without points, with its header and without: they are in the PLY file.
+    for empty in ["", "# 3D point list with one line of data per point:\n# Number of points: 0\n"] {
+        let set = colmap().with("sparse/0/points3D.txt", empty);
+        noted(&set, "sparse/0/points3D.txt has no points: training starts from random ones");
+        let dataset = loaded(&set.with("sparse/0/points3D.ply", CLOUD));
+        assert_eq!(dataset.points.expect("points").positions.len(), 2);
+        assert!(dataset.notes.is_empty(), "{:?}", dataset.notes);
+    }
     noted(&colmap().with("sparse/0/points3D.ply", CLOUD), "not used: sparse/0/points3D.ply");
     refused(&colmap().without("sparse/0/images.txt"), "sparse/0/images.txt", "the points also .ply");
 }

@@ -55,15 +55,15 @@ pub(super) fn plan(tree: &Tree, choice: Choice, read: &ReadOptions) -> Result<Pl
     if !tree.has(&images_file) {
         return Err(missing(&images_file));
     }
-    let points_file = model.points(tree);
-    if points_file.is_none()
+    let points_files = model.points(tree);
+    if points_files.is_empty()
         && let Some(link) = tree.special_on_path(&model.table("points3D"))
     {
         return Err(link);
     }
     let cameras = parse(tree, &cameras_file, binary::cameras, text::cameras)?;
     let images = parse(tree, &images_file, binary::images, text::images)?;
-    let points = points_file.map(|file| points(tree, file)).transpose()?;
+    let points = first_points(tree, &points_files)?;
 
     let mut plan = Plan::new(Layout::Colmap);
     let mut lenses = BTreeMap::new();
@@ -95,13 +95,26 @@ pub(super) fn plan(tree: &Tree, choice: Choice, read: &ReadOptions) -> Result<Pl
     plan.hold_out();
     plan.notes.extend(note);
     plan.noted = unused;
-    match points_file.zip(points) {
+    match points {
         Some((file, points)) => plan.take_points(points, file),
         None => plan
             .notes
             .push(format!("there is no {}: training starts from random points", model.table("points3D"))),
     }
     plan.ordered(&images_file)
+}
+
+/// The points of the first file that has any, else those of the first: some programs write an empty table, and the points beside it.
+fn first_points<'a>(tree: &Tree, files: &[&'a str]) -> Result<Option<(&'a str, Points)>, IngestError> {
+    let mut first = None;
+    for file in files {
+        let points = points(tree, file)?;
+        if points.count() > 0 {
+            return Ok(Some((file, points)));
+        }
+        first.get_or_insert((*file, points));
+    }
+    Ok(first)
 }
 
 fn points(tree: &Tree, file: &str) -> Result<Points, IngestError> {

@@ -45,10 +45,12 @@ impl Model {
         format!("{}{name}.{}", self.folder, self.extension)
     }
 
-    /// The points: of the tables' own encoding, of the other one, or a PLY file beside the tables.
-    pub(super) fn points<'a>(&self, tree: &'a Tree) -> Option<&'a str> {
-        let others = ["bin", "txt", "ply"].map(|extension| format!("{}points3D.{extension}", self.folder));
-        std::iter::once(self.table("points3D")).chain(others).find_map(|name| tree.find_in_any_case(&name))
+    /// Files that may have the points, the preferred first: of the tables' own encoding, of the other one, or a PLY file beside the tables.
+    pub(super) fn points<'a>(&self, tree: &'a Tree) -> Vec<&'a str> {
+        let mut extensions = vec![self.extension];
+        extensions.extend(["bin", "txt", "ply"].into_iter().filter(|other| *other != self.extension));
+        let names = extensions.into_iter().map(|extension| format!("{}points3D.{extension}", self.folder));
+        names.filter_map(|name| tree.find_in_any_case(&name)).collect()
     }
 
     fn is_complete(&self, tree: &Tree) -> bool {
