@@ -20,6 +20,9 @@ pub enum MissingHint {
     /// There are several files of that name.
     #[error("there are {0} images called '{1}', and nothing tells which is meant")]
     Places(usize, String),
+    /// There is a file of that name outside of the folder that has the tables.
+    #[error("there is '{0}', outside of the dataset's folder: move the photographs into it")]
+    Outside(String),
     /// The archive's names are not text that can be compared.
     #[error(
         "names in this zip are in a local code page, or at least not marked as UTF-8, so letters beyond ASCII do not match; make \

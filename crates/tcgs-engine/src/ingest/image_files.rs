@@ -255,19 +255,24 @@ impl ImageFiles<'_> {
             let (name, format) = unread.find(|(name, _)| name[..stem(name)] == *wanted)?;
             Some(MissingHint::Format(shown(name), format.name, format.remedy(name)))
         };
+        let is_of_that_name = |file: &str| {
+            let name = file.rsplit('/').next().unwrap_or(file);
+            is_image_name(file) && (name == stated.name || without_extension(name) == stated.name)
+        };
         let by_name = || {
-            let is_of_that_name = |file: &&str| {
-                let name = file.rsplit('/').next().unwrap_or(file);
-                is_image_name(file) && (name == stated.name || without_extension(name) == stated.name)
-            };
-            let places = self.tree.names().filter(is_of_that_name).take(MAX_PLACES).count();
+            let places = self.tree.names().filter(|file| is_of_that_name(file)).take(MAX_PLACES).count();
             (places > 1).then(|| MissingHint::Places(places, shown(stated.name)))
+        };
+        let by_place = || {
+            let outside = self.tree.outside().iter().find(|file| is_of_that_name(file))?;
+            Some(MissingHint::Outside(shown(outside)))
         };
         by_case
             .map(|name| MissingHint::Case(name.to_owned()))
             .or_else(|| by_stem().map(|name| MissingHint::Extension(name.to_owned())))
             .or_else(by_format)
             .or_else(by_name)
+            .or_else(by_place)
     }
 }
 

@@ -295,6 +295,42 @@ fn a_full_opencv_camera_with_zero_extra_terms_is_the_simpler_one() {
     }
 }
 
+#[test]
+fn photographs_beside_the_folder_of_the_tables_are_found() {
+    let names = |set: &Set| loaded(set).frames.into_iter().map(|frame| frame.name).collect::<Vec<_>>();
+    // As nerfstudio writes it into a folder of its own.
+    let tables = replaced(&nerfstudio(), "transforms.json", "images/", "../images/");
+    let moved = tables.0.into_iter().map(|(name, content)| {
+        let folder = if name.starts_with("images/") { "scene" } else { "scene/nerfstudio" };
+        (format!("{folder}/{name}"), content)
+    });
+    let set = Set(moved.collect());
+    assert_eq!(names(&set), names(&nerfstudio()));
+    assert_eq!(loaded(&set).digest, ingest_of_archive(&set).digest);
+    noted(&set, "the dataset is in scene/nerfstudio/, and its photographs are those of scene/");
+
+    // As the converter of 3DGS leaves it before it undistorts the photographs.
+    let moved = colmap().0.into_iter().map(|(name, content)| match name.strip_prefix("images/") {
+        Some(image) => (format!("input/{image}"), content),
+        None => (format!("distorted/{name}"), content),
+    });
+    let set = Set(moved.collect());
+    assert_eq!(names(&set).len(), 9);
+    noted(&set.clone().with("input/extra.png", png(SIZE, [0; 4])), "1 image is not listed");
+    noted(&set, "the dataset is in distorted/, and its photographs are those of the top");
+
+    // Images that the folder has are its own: another folder's are not taken for those that it lacks.
+    let own = set.clone().with("distorted/images/0.png", png(SIZE, [0; 4]));
+    refused(&own, "sparse/0/images.txt", "there is 'input/1.png', outside of the dataset's folder");
+    // The nearest folder counts.
+    let far = Set(set.inside("a").0.into_iter().collect()).with("0.png", png(SIZE, [0; 4]));
+    assert_eq!(names(&far).len(), 9);
+}
+
+fn ingest_of_archive(set: &Set) -> Dataset {
+    load(&file(&set.archive()).path).expect("a dataset")
+}
+
 const CLOUD: &str = "ply\nformat ascii 1.0\nelement vertex 2\nproperty float x\nproperty float y\nproperty float z\n\
                      property uchar red\nproperty uchar green\nproperty uchar blue\nend_header\n1 2 3 10 20 30\n-1 2 3 40 50 60\n";
 

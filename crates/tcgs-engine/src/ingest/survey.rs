@@ -9,7 +9,7 @@ use super::{
     colmap,
     distortion::Crop,
     error::{IngestError, IngestErrorKind, Result},
-    images::{self, Header},
+    images::{self, Header, is_image_name},
     lens::{Lens, resized},
     limits::Limits,
     mask_reader::{FrameMasks, MaskOptions, MaskReader},
@@ -108,7 +108,7 @@ pub(super) fn survey(
     options: &SurveyOptions,
 ) -> Result<(Tree, Survey), IngestError> {
     let root = roots::find(&tree)?;
-    let outside = if root.is_empty() { Vec::new() } else { tree.enter(&root) };
+    let images_of = if root.is_empty() { None } else { tree.enter(&root, is_image_name) };
     let mut plan = plan(&tree, &options.reading)?;
     if options.reading.holdout == HoldOut::Sector {
         plan.hold_out_sector();
@@ -118,7 +118,7 @@ pub(super) fn survey(
     noted.extend(masks.of_frames.iter().flatten().cloned());
     notes.extend(provenance::note(&tree));
     let taken = Taken { listed: &listed, noted: &noted, listings: &listings };
-    note_outside(&root, &outside, &mut notes);
+    note_outside(&root, images_of.as_deref(), tree.outside(), &mut notes);
     note_unused(&tree, &taken, &mut notes);
 
     let mut surveyor = Surveyor { lenses, max_width: options.reading.max_width, kept: BTreeMap::new() };

@@ -53,6 +53,8 @@ pub(super) enum Purpose {
 /// The readable files of a dataset.
 pub(super) struct Tree {
     files: BTreeMap<String, Entry>,
+    /// Names of files outside of the root.
+    outside: Vec<String>,
     /// Names by their normal form, of those that are in another.
     by_normal_form: BTreeMap<String, String>,
     special: BTreeMap<String, &'static str>,
@@ -68,6 +70,12 @@ pub(super) struct Tree {
 struct Entry {
     index: usize,
     size: u64,
+}
+
+/// The innermost folder that `folder`, which ends in a slash, and a file share.
+fn around<'a>(folder: &'a str, file: &str) -> &'a str {
+    let shared = folder.bytes().zip(file.bytes()).take_while(|(a, b)| a == b).count();
+    &folder[..folder.as_bytes()[..shared].iter().rposition(|byte| *byte == b'/').map_or(0, |slash| slash + 1)]
 }
 
 impl Tree {
@@ -110,6 +118,7 @@ impl Tree {
         Ok(Self {
             by_normal_form: by_normal_form(&files),
             files,
+            outside: Vec::new(),
             special: special.into_iter().collect(),
             names,
             skipped,
@@ -144,14 +153,26 @@ impl Tree {
         self.purpose.deadline().check()
     }
 
-    /// Takes a folder, which ends in a slash, as the root. Returns the files that are not in it.
-    pub(super) fn enter(&mut self, folder: &str) -> Vec<String> {
-        let mut outside = Vec::new();
-        let mut inside = BTreeMap::new();
+    /// Takes a folder, which ends in a slash, as the root. If it has no images, those of the nearest folder around it that has any are
+    /// taken as if they were in it, by their paths from there. Returns that folder, with a slash at its end; empty for the top.
+    pub(super) fn enter(&mut self, folder: &str, is_image: fn(&str) -> bool) -> Option<String> {
+        let (mut inside, mut outside) = (BTreeMap::new(), BTreeMap::new());
         for (name, entry) in std::mem::take(&mut self.files) {
             match name.strip_prefix(folder) {
                 Some(rest) => _ = inside.insert(rest.to_owned(), entry),
-                None => outside.push(name),
+                None => _ = outside.insert(name, entry),
+            }
+        }
+        let mut images_of = None;
+        if !inside.keys().any(|name| is_image(name)) {
+            let around = |name: &str| around(folder, name).len();
+            let images = outside.keys().filter(|name| is_image(name));
+            let nearest = images.map(|name| around(name)).max();
+            if let Some(nearest) = nearest {
+                let is_taken = |name: &String, _: &mut Entry| is_image(name) && around(name) == nearest;
+                let taken = outside.extract_if(.., is_taken);
+                inside.extend(taken.map(|(name, entry)| (name[nearest..].to_owned(), entry)));
+                images_of = Some(folder[..nearest].to_owned());
             }
         }
         self.files = inside;
@@ -160,7 +181,13 @@ impl Tree {
             .filter_map(|(name, kind)| Some((name.strip_prefix(folder)?.to_owned(), kind)))
             .collect();
         self.by_normal_form = by_normal_form(&self.files);
-        outside
+        self.outside = outside.into_keys().collect();
+        images_of
+    }
+
+    /// Names of files that are not in the folder that became the root.
+    pub(super) fn outside(&self) -> &[String] {
+        &self.outside
     }
 
     /// Whether there is a file of this name.

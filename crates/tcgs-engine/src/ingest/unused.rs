@@ -48,8 +48,13 @@ pub(super) fn note_unused(tree: &Tree, taken: &Taken, notes: &mut Vec<String>) {
     }
 }
 
-/// Adds a note for files outside of the dataset's folder.
-pub(super) fn note_outside(root: &str, outside: &[String], notes: &mut Vec<String>) {
+/// Adds notes for files outside of the dataset's folder.
+pub(super) fn note_outside(root: &str, images_of: Option<&str>, outside: &[String], notes: &mut Vec<String>) {
+    if let Some(folder) = images_of {
+        let folder = if folder.is_empty() { "the top" } else { folder };
+        let (root, folder) = (shown(root), shown(folder));
+        notes.push(format!("the dataset is in {root}, and its photographs are those of {folder}"));
+    }
     let names: Vec<&str> = outside.iter().map(String::as_str).collect();
     if let Some(text) = named(&names) {
         notes.push(format!("the dataset is in {}; not used: {text}", shown(root)));
