@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use tcgs::domain::{Camera, Problem, ProblemType, dataset::find_name};
 
-use super::{CliError, pose, wiring};
+use super::{CliError, pose, reading, wiring};
 
 /// Which camera to render from.
 #[derive(Debug, clap::Args)]
@@ -26,12 +26,12 @@ pub(crate) struct CameraFlags {
 }
 
 impl CameraFlags {
-    /// The camera.
-    pub(crate) fn camera(&self) -> Result<Camera, CliError> {
+    /// The camera; that of a dataset as the training of the scene in `file` read it, if the file says how.
+    pub(crate) fn camera(&self, file: &[u8]) -> Result<Camera, CliError> {
         match (&self.pose, &self.dataset, &self.frame) {
             (Some(pose), None, None) => pose::camera(pose),
             (None, Some(dataset), Some(name)) => {
-                let cameras = wiring::cameras(dataset)?;
+                let cameras = wiring::cameras(dataset, &reading::of_scene(file))?;
                 let names: Vec<&str> = cameras.iter().map(|camera| camera.name.as_str()).collect();
                 let index = find_name(&names, name).ok_or_else(|| {
                     let first = names.first().unwrap_or(&"");
@@ -42,5 +42,57 @@ impl CameraFlags {
             }
             _ => Err(CliError::Usage("give --pose, or --dataset and --frame".to_owned())),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::fs;
+
+    use tcgs::{
+        codec::{ContextSettings, DecodeLimits, EncodeSettings, Provenance, decode},
+        domain::{Background, MaskSource, MaxWidth, TrainOptions},
+        sample,
+    };
+
+    use super::*;
+
+    /// A scene's file that states these options.
+    fn trained_with(options: &TrainOptions) -> Vec<u8> {
+        let golden = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/golden/unit_v1.tcgs");
+        let golden = fs::read(golden).expect("a file");
+        let scene = decode(&golden, &DecodeLimits::default()).expect("a scene").scene;
+        let provenance = Provenance {
+            generator: String::new(),
+            dataset: None,
+            adapter: None,
+            settings: serde_json::to_value(options).expect("JSON"),
+        };
+        let settings = EncodeSettings {
+            background: Background::Black,
+            feature_step: wiring::FEATURE_STEP,
+            scaling_step: wiring::SCALING_STEP,
+            offset_step: wiring::OFFSET_STEP,
+            context: ContextSettings::default(),
+            provenance,
+        };
+        wiring::encode(&scene, &settings).expect("encodes").bytes
+    }
+
+    #[test]
+    fn cameras_are_those_that_the_scene_was_trained_with() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let dataset = folder.path().join("scene");
+        sample::write(&dataset, &sample::Settings { points: 50, ..sample::Settings::square(32) })
+            .expect("writes");
+        fs::create_dir(dataset.join("masks")).expect("a folder");
+        fs::copy(dataset.join("images/view_01.png"), dataset.join("masks/of_nothing.png")).expect("copies");
+        let flags = CameraFlags { dataset: Some(dataset), frame: Some("view_01.png".to_owned()), pose: None };
+        let refused = flags.camera(&trained_with(&TrainOptions::default())).expect_err("refused");
+        assert!(refused.to_string().contains("masks=none"), "{refused}");
+        let max_width = MaxWidth::new(16).expect("a width");
+        let options = TrainOptions { masks: MaskSource::None, max_width, ..TrainOptions::default() };
+        let camera = flags.camera(&trained_with(&options)).expect("a camera");
+        assert_eq!(camera.intrinsics.width, 16);
     }
 }

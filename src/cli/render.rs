@@ -25,9 +25,9 @@ pub(crate) struct Args {
 pub(crate) fn run(args: &Args) -> Result<Report, CliError> {
     picture::format_of(&args.output)?;
     files::check_writable(&args.output)?;
-    let camera = args.camera.camera()?;
-    let decoded = wiring::read(&files::read(&args.file)?)
-        .map_err(|problem| problem.in_file(args.file.display().to_string()))?;
+    let bytes = files::read(&args.file)?;
+    let camera = args.camera.camera(&bytes)?;
+    let decoded = wiring::read(&bytes).map_err(|problem| problem.in_file(args.file.display().to_string()))?;
     let renderer = wiring::SceneViews::open(decoded, &args.adapter.adapter)?;
     picture::write(&args.output, &renderer.view(&camera)?)?;
     Ok(Report::text(format!("wrote {}", args.output.display())))

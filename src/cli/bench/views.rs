@@ -113,9 +113,9 @@ struct Measured {
 
 /// Measures every size.
 pub(crate) fn run(args: &Args) -> Result<Report, CliError> {
-    let camera = args.camera.camera()?;
-    let file = wiring::read(&files::read(&args.file)?)
-        .map_err(|problem| problem.in_file(args.file.display().to_string()))?;
+    let bytes = files::read(&args.file)?;
+    let camera = args.camera.camera(&bytes)?;
+    let file = wiring::read(&bytes).map_err(|problem| problem.in_file(args.file.display().to_string()))?;
     let device = Device::new(&args.adapter.adapter).map_err(Problem::from)?;
     let mut renderer = Renderer::of_scene(&device, &file.scene, file.background).map_err(Problem::from)?;
     let mut views = Views { adapter: device.adapter_line(), sizes: Vec::new() };

@@ -41,7 +41,7 @@ pub(crate) use service::{ServeOptions, WorkerOptions, migrate, serve, worker};
 pub(crate) use upkeep::{back_up, fsck, restore};
 pub(crate) use viewer::{Advertised, ViewerOptions, viewer};
 
-use super::{CliError, files, memory::MemoryFlags, reading::LENIENT};
+use super::{CliError, files, memory::MemoryFlags};
 
 /// Default quantization step of features (the published one).
 pub(crate) const FEATURE_STEP: f32 = 1.0;
@@ -102,8 +102,8 @@ pub(crate) fn survey_dataset(
 }
 
 /// The cameras of a dataset, without reading its pixels.
-pub(crate) fn cameras(path: &Path) -> Result<Vec<NamedCamera>, Problem> {
-    Ok(survey_dataset(path, &LENIENT)?.1)
+pub(crate) fn cameras(path: &Path, reading: &ReadOptions) -> Result<Vec<NamedCamera>, Problem> {
+    Ok(survey_dataset(path, reading)?.1)
 }
 
 /// The mean error of held-out views in the high wavelet bands; `None` without such views.
