@@ -10,6 +10,7 @@ use tcgs::{
     domain::{CurvePoint, ExposureChoice, JobMetrics, Phase, SceneFormat, TrainOptions},
     ingest,
     pipeline::{CheckpointPlan, JobError, Resume, RunJob as _},
+    worker::CameraSearch,
 };
 use tempfile::TempDir;
 
@@ -136,10 +137,15 @@ fn with_cameras(
     }
     notice("the photographs have no cameras, which are found first; `tcgs poses` keeps them");
     let work = poses::work_folder(&env::temp_dir())?;
-    let search = usual_camera_search(None).of_job(options);
+    let search = camera_search(args.memory, options);
     let (found, dataset) = poses::dataset(&search, &args.dataset, work.path(), interruption)?;
     notice(poses::text(&found).trim_end());
     Ok(Some((work, dataset)))
+}
+
+/// The search for cameras, within the memory that is stated for the run.
+fn camera_search(memory: MemoryFlags, options: &TrainOptions) -> CameraSearch {
+    usual_camera_search(memory.stated_host()).of_job(options)
 }
 
 fn report(metrics: &JobMetrics, written: &[PathBuf]) -> Report {
@@ -253,7 +259,22 @@ pub(super) fn text(metrics: &JobMetrics) -> String {
 
 #[cfg(test)]
 mod tests {
+    use clap::Parser;
+
     use super::*;
+
+    #[derive(Debug, Parser)]
+    struct Line {
+        #[command(flatten)]
+        memory: MemoryFlags,
+    }
+
+    #[test]
+    fn the_memory_of_a_run_bounds_its_search_for_cameras() {
+        let line = Line::try_parse_from(["train", "--host-memory", "4GiB"]).expect("parses");
+        let search = camera_search(line.memory, &TrainOptions::default());
+        assert_eq!(search.estimator.limits.memory_bytes, 4 << 30);
+    }
 
     #[test]
     fn files_of_a_curve_are_named_by_their_weights() {

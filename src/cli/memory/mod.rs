@@ -29,6 +29,11 @@ impl MemoryFlags {
         Self { host_memory, gpu_memory: None }.limits(1).host
     }
 
+    /// Main memory, if it is stated.
+    pub(crate) fn stated_host(self) -> Option<Bytes> {
+        self.host_memory
+    }
+
     /// What each of `runs` runs at a time may take.
     pub(crate) fn limits(self, runs: u16) -> MemoryLimits {
         self.limits_of(runs, available)
