@@ -9,6 +9,7 @@ use tcgs::{
         ValueRange,
     },
     gpu::AdapterReport,
+    ingest,
     pipeline::{JobError, Machine, job_needs},
     train::Schedule,
 };
@@ -123,7 +124,7 @@ pub(super) fn estimate(
         reasons.push("training time is unknown until cameras are found; `tcgs poses` finds them".to_owned());
     } else if needed.is_some() {
         let interruption = Interruption::listen();
-        let runner = wiring::runner(&flags.adapter.adapter, memory, std::env::temp_dir(), None);
+        let runner = wiring::runner(&flags.adapter.adapter, memory, ingest::large_file_dir(), None);
         match runner.calibrate(dataset, options, CALIBRATION, &interruption.cancel) {
             Ok(found) => calibration = Some(found),
             Err(JobError::Cancelled) if interruption.cancel.is_cancelled() => {

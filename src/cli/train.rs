@@ -1,9 +1,6 @@
 //! `tcgs train`: trains a scene from a dataset, writes its file and reports its metrics.
 
-use std::{
-    env,
-    path::{Path, PathBuf},
-};
+use std::path::{Path, PathBuf};
 
 use serde_json::{Value, json};
 use tcgs::{
@@ -71,8 +68,8 @@ pub(crate) fn run(args: &Args) -> Result<Report, CliError> {
     let checkpoints = checkpoints(args)?;
     let lpips = wiring::lpips(args.lpips.lpips.as_deref())?;
     let memory = args.memory.limits(1);
-    let runner =
-        wiring::runner(&args.adapter.adapter, memory, std::env::temp_dir(), lpips).with_profile(args.profile);
+    let runner = wiring::runner(&args.adapter.adapter, memory, ingest::large_file_dir(), lpips)
+        .with_profile(args.profile);
     let interruption = Interruption::listen();
     let posed = with_cameras(args, &options, &interruption)?;
     let dataset = posed.as_ref().map_or(&args.dataset, |(_, dataset)| dataset);
@@ -136,7 +133,7 @@ fn with_cameras(
         return Err(CliError::Usage(error.to_owned()));
     }
     notice("the photographs have no cameras, which are found first; `tcgs poses` keeps them");
-    let work = poses::work_folder(&env::temp_dir())?;
+    let work = poses::work_folder(&ingest::large_file_dir())?;
     let search = camera_search(args.memory, options);
     let (found, dataset) = poses::dataset(&search, &args.dataset, work.path(), interruption)?;
     notice(poses::text(&found).trim_end());

@@ -202,7 +202,9 @@ impl WorkFolder {
     fn new(config: &WorkerConfig, lease: &Lease, resume_from: Option<JobId>) -> io::Result<Self> {
         let path = match &config.checkpoints {
             Some(root) => checkpoints::search_of_attempt(root, lease, resume_from),
-            None => std::env::temp_dir().join(lease.job.to_string()).join(format!("poses-{}", lease.attempt)),
+            None => {
+                ingest::large_file_dir().join(lease.job.to_string()).join(format!("poses-{}", lease.attempt))
+            }
         };
         fs::create_dir_all(&path)?;
         Ok(Self { path, is_kept: config.checkpoints.is_some() })

@@ -6,6 +6,8 @@ use std::{
     path::{Path, PathBuf},
 };
 
+use tcgs::ingest;
+
 use crate::cli::{CliError, wiring};
 
 /// A zip file: the one named on the command line, or a temporary one of the folder named there.
@@ -19,8 +21,9 @@ impl Archive {
     pub(super) fn open(dataset: &Path) -> Result<Self, CliError> {
         let unreadable = |error| CliError::unreadable(dataset, &error);
         let file = if dataset.is_dir() {
-            let mut file =
-                tempfile::tempfile().map_err(|error| CliError::unwritable(&std::env::temp_dir(), &error))?;
+            let temporary = ingest::large_file_dir();
+            let mut file = tempfile::tempfile_in(&temporary)
+                .map_err(|error| CliError::unwritable(&temporary, &error))?;
             wiring::pack(dataset, &mut file)?;
             file
         } else {

@@ -81,7 +81,7 @@ use std::path::Path;
 use rayon::prelude::*;
 
 pub use self::{
-    budget::LoadBudget,
+    budget::{LoadBudget, large_file_dir},
     checker::DatasetChecker,
     error::{IngestError, IngestErrorKind, MissingHint},
     limits::Limits,

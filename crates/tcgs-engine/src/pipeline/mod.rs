@@ -56,7 +56,7 @@ use crate::{
     },
     eval::PerceptualDistance,
     gpu::{AdapterChoice, Device, DeviceSettings, GpuError, Profile, RecordingProfile},
-    ingest::{self, LoadBudget},
+    ingest::{self, LoadBudget, large_file_dir},
     train::Schedule,
 };
 
@@ -81,7 +81,7 @@ impl Pipeline {
         Self {
             adapter,
             memory: MemoryLimits::NONE,
-            spill_dir: std::env::temp_dir(),
+            spill_dir: large_file_dir(),
             lpips: None,
             has_pictures: false,
             reference: None,

@@ -12,6 +12,7 @@ use tcgs::{
     },
     eval::Target,
     gpu::AdapterChoice,
+    ingest,
     pipeline::{CheckpointPlan, JobError, JobOutput, Pipeline, ReferenceViews, RunJob as _},
     train::Schedule,
 };
@@ -110,7 +111,7 @@ impl Runner {
     fn pipeline(&self, adapter: &AdapterChoice) -> Result<Pipeline, CliError> {
         let memory = MemoryFlags::default().limits(1);
         let lpips = wiring::lpips(self.lpips.as_deref())?;
-        let pipeline = wiring::runner(adapter, memory, std::env::temp_dir(), lpips);
+        let pipeline = wiring::runner(adapter, memory, ingest::large_file_dir(), lpips);
         Ok(pipeline.with_reference(Some(self.reference)))
     }
 
