@@ -196,8 +196,8 @@ impl From<StoreError> for ProblemResponse {
                     .with_header(header::RETRY_AFTER, RETRY_WHEN_AN_UPLOAD_ENDS.into())
             }
             StoreError::NoWorker { best: Preparation::None, .. } => ProblemType::PosesUnavailable.because(
-                "the dataset has no cameras, and no worker of this service can find them: install pycolmap for one (`make poses`), or \
-                 send cameras with the photographs",
+                "the dataset has no cameras, and no worker of this service can find them: install pycolmap for one (`make poses`) \
+                 and name its Python in TCGS_POSES_PYTHON if the service runs as another user, or send cameras with the photographs",
             ),
             StoreError::NoWorker { .. } => ProblemType::VideoUnavailable.because(
                 "no worker of this service can read videos: install ffmpeg for one, or send photographs",

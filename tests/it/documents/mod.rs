@@ -10,5 +10,6 @@ mod links;
 mod manifests;
 mod problems;
 mod retired_words;
+mod scripts;
 mod sentences;
 mod us_spelling;

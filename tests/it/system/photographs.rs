@@ -276,7 +276,8 @@ async fn a_service_whose_workers_cannot_find_cameras_says_so_at_once() {
         }
     };
     let refused = crate::support::eventually::within("the worker is announced", refused).await;
-    assert_eq!(refused.expect(503).json()["type"], "urn:tcgs:problem:poses-unavailable");
+    let detail = refused.expect_problem(503, "poses-unavailable");
+    assert!(detail.contains("TCGS_POSES_PYTHON"), "{detail}");
     // A worker that is killed counts as alive for a while.
     assert_eq!(service.stop().await.code(), Some(0));
 
