@@ -18,6 +18,12 @@ const REAL: [&str; 15] = [
 /// Stand-ins that do nothing.
 const IDLE: [&str; 8] = ["cc", "make", "curl", "openssl", "tee", "touch", "ffmpeg", "sudo"];
 
+/// An apt that knows every package but Chromium, and refuses a list with an unknown one.
+const APT: &str = r#"case " $* " in *" install "*" chromium "*) exit 100 ;; esac
+echo "$*" >>"$APT_LOG""#;
+const APT_CACHE: &str =
+    r#"case "$2" in chromium) echo '  Candidate: (none)' ;; *) echo '  Candidate: 1' ;; esac"#;
+
 /// A Python that makes environments without anything in them.
 const PYTHON: &str = r#"[ "$1" != -m ] || [ "$2" != venv ] || {
     mkdir -p "$3/bin"
@@ -40,9 +46,12 @@ impl Machine {
             let program = env::split_paths(&places).map(|place| place.join(name)).find(|path| path.exists());
             symlink(program.expect(name), machine.path("bin").join(name)).expect("a link");
         }
-        for (name, script) in
-            IDLE.map(|name| (name, "")).into_iter().chain([("id", "echo 0"), ("python3", PYTHON)])
-        {
+        for (name, script) in IDLE.map(|name| (name, "")).into_iter().chain([
+            ("id", "echo 0"),
+            ("apt-get", APT),
+            ("apt-cache", APT_CACHE),
+            ("python3", PYTHON),
+        ]) {
             let path = machine.path("bin").join(name);
             fs::write(&path, format!("#!/bin/sh\n{script}\n")).expect("a program");
             fs::set_permissions(&path, fs::Permissions::from_mode(0o755)).expect("a program");
@@ -58,9 +67,23 @@ impl Machine {
         let mut command = Command::new("bash");
         command.arg(Path::new(env!("CARGO_MANIFEST_DIR")).join("scripts").join(script)).arg(argument);
         command.env_clear().env("PATH", self.path("bin")).env("HOME", self.path("home"));
-        command.envs(variables.iter().copied());
+        command.env("APT_LOG", self.path("apt.log")).envs(variables.iter().copied());
         command.output().expect("starts")
     }
+}
+
+#[test]
+fn a_program_for_tests_that_cannot_be_had_keeps_none_of_the_others_away() {
+    if !there_is("bash", &["--version"]) {
+        return;
+    }
+    let machine = Machine::new();
+    let output = machine.run("setup.sh", "--for-tests", &[]);
+    let said = String::from_utf8_lossy(&output.stderr);
+    assert!(!output.status.success() && said.contains("no package chromium"), "{said}");
+    let installed = fs::read_to_string(machine.path("apt.log")).expect("apt ran");
+    let with_npm = installed.lines().find(|line| line.contains("install") && line.contains(" npm"));
+    assert!(with_npm.is_some_and(|line| !line.contains("chromium")), "{installed}\n{said}");
 }
 
 #[test]
