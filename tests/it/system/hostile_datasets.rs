@@ -327,7 +327,7 @@ fn points_and_images() -> Vec<Row> {
             422,
             "image-rejected",
             "1.png",
-            "magick mogrify -format png *.png",
+            "mogrify -format png *.png",
         ),
         ("half a header", with(transforms(), "1.png", cut), 422, "image-rejected", "1.png", "not a readable"),
         (
@@ -447,7 +447,7 @@ fn without_cameras() -> Vec<Row> {
             422,
             "image-rejected",
             "d.heic",
-            "magick mogrify",
+            "mogrify",
         ),
         ("no video", video(b"<html><body>"), 422, "dataset-rejected", "v.mp4", "not an MP4"),
         ("half a video's name", video(b"\0\0\0\x14fty"), 422, "dataset-rejected", "v.mp4", "not an MP4"),

@@ -68,11 +68,11 @@ impl UnreadFormat {
         matches!(self.name, "TIFF" | "AVIF" | "HEIC")
     }
 
-    /// The command that converts such files, named like `file`.
+    /// The command that converts such files, named like `file`: of ImageMagick 6, and of 7, which has it too.
     pub(super) fn remedy(&self, file: &str) -> String {
         let extension =
             extension(file).filter(|extension| extension.bytes().all(|byte| byte.is_ascii_alphanumeric()));
-        format!("magick mogrify -format {} *.{}", self.to, extension.unwrap_or(self.extensions[0]))
+        format!("mogrify -format {} *.{}", self.to, extension.unwrap_or(self.extensions[0]))
     }
 }
 
@@ -113,12 +113,9 @@ mod tests {
     #[test]
     fn remedies_are_commands_for_the_files_as_they_are_called() {
         let heic = by_name("a.heic").expect("a format");
-        assert_eq!(heic.remedy("images/IMG_1.HEIC"), "magick mogrify -format jpg *.HEIC");
-        assert_eq!(heic.remedy("images/IMG_1.jpg"), "magick mogrify -format jpg *.jpg");
-        assert_eq!(heic.remedy("images/a.$(b)"), "magick mogrify -format jpg *.heic");
-        assert_eq!(
-            by_name("a.tiff").expect("a format").remedy("a.tiff"),
-            "magick mogrify -format png *.tiff"
-        );
+        assert_eq!(heic.remedy("images/IMG_1.HEIC"), "mogrify -format jpg *.HEIC");
+        assert_eq!(heic.remedy("images/IMG_1.jpg"), "mogrify -format jpg *.jpg");
+        assert_eq!(heic.remedy("images/a.$(b)"), "mogrify -format jpg *.heic");
+        assert_eq!(by_name("a.tiff").expect("a format").remedy("a.tiff"), "mogrify -format png *.tiff");
     }
 }

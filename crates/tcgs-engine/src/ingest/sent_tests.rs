@@ -243,10 +243,10 @@ fn photographs_of_a_format_that_is_not_read_are_refused_by_name() {
         (
             &b"II*\0\x08\0\0\0\0\0"[..],
             "tif",
-            "is a TIFF image, which is not read; convert the photographs to PNG or JPEG (`magick mogrify -format png *.tif`)",
+            "is a TIFF image, which is not read; convert the photographs to PNG or JPEG (`mogrify -format png *.tif`)",
         ),
         (b"\0\0\0\x1cftypavif\0\0\0\0", "avif", "is an AVIF image, which is not read"),
-        (heic, "HEIC", "(`magick mogrify -format jpg *.HEIC`). Tables may keep the old names"),
+        (heic, "HEIC", "(`mogrify -format jpg *.HEIC`). Tables may keep the old names"),
         (heic, "jpg", "is a HEIC image, which is not read"),
     ] {
         let name = format!("4.{extension}");
@@ -267,7 +267,7 @@ fn photographs_of_a_format_that_is_not_read_are_refused_by_name() {
     let set = colmap().without("images/4.png").with("images/4.heic", heic);
     refused(
         &set,
-        "there is 'images/4.heic', which is HEIC: convert it to PNG or JPEG, `magick mogrify -format jpg *.heic`",
+        "there is 'images/4.heic', which is HEIC: convert it to PNG or JPEG, `mogrify -format jpg *.heic`",
     );
     refused(&Set::default().with("IMG_1.heic", heic), "is a HEIC image, which is not read");
 }

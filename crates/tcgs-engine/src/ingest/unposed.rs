@@ -251,7 +251,7 @@ mod tests {
         assert_eq!((names.len(), masks), (3, vec!["masks/b.png".to_owned()]));
         put(folder.path(), "e.heic", b"");
         let problem = Problem::from(Unposed::find(folder.path()).expect_err("not read"));
-        assert!(problem.detail.contains("`magick mogrify -format "), "{problem}");
+        assert!(problem.detail.contains("`mogrify -format "), "{problem}");
     }
 
     #[test]
