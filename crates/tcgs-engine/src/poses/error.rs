@@ -19,8 +19,8 @@ pub enum PosesError {
     /// The interpreter is missing, or has no pycolmap.
     #[error(
         "cameras of photographs are found by pycolmap, which '{python}' does not have ({detail}); install it with `make poses`, or with \
-         `python3 -m venv ENV && ENV/bin/pip install pycolmap=={PYCOLMAP_VERSION}` and --python ENV/bin/python3. A colmap of version 3.13 or \
-         newer, on the path or named in TCGS_COLMAP, serves too"
+         `python3 -m venv ENV && ENV/bin/pip install pycolmap=={PYCOLMAP_VERSION}` and the variable \
+         TCGS_POSES_PYTHON=ENV/bin/python3. A colmap of version 3.13 or newer, on the path or named in TCGS_COLMAP, serves too"
     )]
     Unavailable {
         /// The interpreter.

@@ -74,7 +74,7 @@ fn the_child_gets_the_program_and_the_options() {
 #[test]
 fn every_failure_is_a_problem_with_its_remedy() {
     for (failure, kind, remedy) in [
-        ("unavailable", "poses-unavailable", "make poses"),
+        ("unavailable", "poses-unavailable", "TCGS_POSES_PYTHON=ENV/bin/python3"),
         ("unreadable", "image-rejected", "x"),
         ("featureless", "featureless-photographs", "sharper"),
         ("no-overlap", "no-overlap", "three photographs"),
