@@ -257,7 +257,10 @@
     say('Opening');
     const inside = Boolean(byId('file'));
     if (!inside && !scene.file) return byService(scene.why);
-    if (!navigator.gpu || !canvas.transferControlToOffscreen) return byService('This browser has no WebGPU.');
+    if (!navigator.gpu || !canvas.transferControlToOffscreen) {
+      // Browsers hide WebGPU from pages over http, unless they come from the same machine.
+      return byService(isSecureContext ? 'This browser has no WebGPU.' : 'WebGPU needs this page over https.');
+    }
     const adapter = await navigator.gpu.requestAdapter();
     if (!adapter) return byService('WebGPU has no adapter here.');
     // A browser's software adapter takes seconds for a picture. The address of a test ends in #webgpu.

@@ -195,6 +195,25 @@ async fn without_webgpu_the_service_draws_the_page_s_pictures() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_page_over_http_says_that_webgpu_needs_https() {
+    let Some(program) = browser::find() else { return skip("Chromium is not installed") };
+    if assets().is_none() {
+        return skip("the viewer for browsers was not built: scripts/web.sh does, before the program");
+    }
+    let server = Server::start(&Coverage::default()).await;
+    let job = server.succeeded().await;
+    let mut page = Page::open_with(program, &WEBGPU, &format!("http://{}{job}/viewer", server.address)).await;
+    // As browsers show themselves to a page over http that is not from the same machine.
+    let insecure = "Object.defineProperty(window, 'isSecureContext', { value: false }); \
+                    Object.defineProperty(Navigator.prototype, 'gpu', { value: undefined });";
+    page.ask("Page.addScriptToEvaluateOnNewDocument", json!({ "source": insecure })).await;
+    page.ask("Page.reload", json!({})).await;
+    let line = "document.getElementById('line').textContent";
+    page.until(line, |told| *told == "WebGPU needs this page over https. The service draws the pictures.")
+        .await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn on_a_phone_the_page_fits_and_fingers_come_nearer() {
     let Some(program) = browser::find() else { return skip("Chromium is not installed") };
     let server = Server::start(&Coverage::default()).await;
