@@ -15,7 +15,7 @@ use tcgs::{
     },
     worker::CameraSearch,
 };
-use tempfile::TempDir;
+use tempfile::{TempDir, TempPath};
 
 use super::{
     CliError, Report,
@@ -106,15 +106,24 @@ pub(crate) fn run(args: &Args) -> Result<Report, CliError> {
     let search = CameraSearch { masks, ..search };
     let (found, dataset) = dataset(&search, &args.photographs, work.path(), &Interruption::listen())?;
     if is_zip {
-        let mut archive =
-            fs::File::create_new(&args.output).map_err(|error| CliError::unwritable(&args.output, &error))?;
-        wiring::pack(&dataset, &mut archive)?;
+        write_zip(&dataset, work.path(), &args.output)?;
     } else {
         // An empty folder gives way.
         fs::rename(&dataset, &args.output).map_err(|error| CliError::unwritable(&args.output, &error))?;
     }
     let ending = format!("wrote {0}; train it with: tcgs train {0} -o scene.tcgs", args.output.display());
     Ok(Report::new(text(&found) + &ending, &found))
+}
+
+/// Packs a dataset in the folder `work`, which is beside the output, and moves the zip there once it is whole.
+fn write_zip(dataset: &Path, work: &Path, output: &Path) -> Result<(), CliError> {
+    let unwritable = |error: io::Error| CliError::unwritable(output, &error);
+    let path = work.join("packed.zip");
+    let mut archive = fs::File::create_new(&path).map_err(unwritable)?;
+    wiring::pack(dataset, &mut archive)?;
+    archive.sync_all().map_err(unwritable)?;
+    let packed = TempPath::try_from_path(path).map_err(unwritable)?;
+    packed.persist_noclobber(output).map_err(|error| unwritable(error.error))
 }
 
 /// A temporary folder in `parent`.
@@ -228,6 +237,22 @@ impl Display {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_zip_is_there_whole_or_not_at_all() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = |name: &str| folder.path().join(name);
+        fs::create_dir_all(path("dataset/images")).expect("a folder");
+        fs::write(path("dataset/images/1.jpg"), b"a photograph").expect("a file");
+        let work = || work_folder(folder.path()).expect("a folder");
+        write_zip(&path("missing"), work().path(), &path("a.zip")).expect_err("there is nothing to pack");
+        assert!(!path("a.zip").exists());
+        write_zip(&path("dataset"), work().path(), &path("a.zip")).expect("writes");
+        let whole = fs::read(path("a.zip")).expect("a zip");
+        assert!(whole.starts_with(b"PK"));
+        write_zip(&path("dataset"), work().path(), &path("a.zip")).expect_err("another one is there by now");
+        assert_eq!(fs::read(path("a.zip")).expect("a zip"), whole);
+    }
 
     #[test]
     fn an_output_is_new_or_an_empty_folder() {
