@@ -52,9 +52,14 @@ impl Unposed {
     fn of(tree: &Tree) -> Result<Self, IngestError> {
         let is_hidden = |name: &str| name.split('/').any(|part| part.starts_with('.'));
         let shown = || tree.names().filter(|name| !is_hidden(name));
-        let is_mask = |name: &String| folder_of(name).split('/').any(is_mask_folder);
-        let images = shown().filter(|name| is_image_name(name)).map(str::to_owned);
-        let (masks, names): (Vec<String>, Vec<String>) = images.partition(is_mask);
+        let images: Vec<String> = shown().filter(|name| is_image_name(name)).map(str::to_owned).collect();
+        // A folder of all images, as an archive has at its top, tells none of them from the others.
+        let common = images.iter().fold(images.first().map(|name| folder_of(name)), |common, name| {
+            common.map(|common| shared_folder(common, folder_of(name)))
+        });
+        let common = common.unwrap_or_default().len();
+        let is_mask = |name: &String| folder_of(name)[common..].split('/').any(is_mask_folder);
+        let (masks, names): (Vec<String>, Vec<String>) = images.iter().cloned().partition(is_mask);
         expect_read(shown(), &names)?;
         if !names.is_empty() {
             return Ok(Self::Photographs { names, masks });
@@ -120,6 +125,13 @@ impl Unposed {
             Self::Video(_) => Layout::Video,
         }
     }
+}
+
+/// The folder that has both folders in it, or is one of them.
+fn shared_folder<'a>(a: &'a str, b: &str) -> &'a str {
+    let same = a.split('/').zip(b.split('/')).take_while(|(a, b)| a == b);
+    let length: usize = same.map(|(part, _)| part.len() + 1).sum();
+    &a[..length.saturating_sub(1).min(a.len())]
 }
 
 /// Refuses photographs in a format that is not read, unless the same photograph lies beside them in one that is.
@@ -252,6 +264,23 @@ mod tests {
         put(folder.path(), "e.heic", b"");
         let problem = Problem::from(Unposed::find(folder.path()).expect_err("not read"));
         assert!(problem.detail.contains("`mogrify -format "), "{problem}");
+    }
+
+    #[test]
+    fn a_folder_of_all_images_is_none_of_masks_whatever_its_name() {
+        let found = |names: &[&str]| {
+            let folder = tempfile::tempdir().expect("a folder");
+            names.iter().for_each(|name| put(folder.path(), name, &photograph(4)));
+            let found = Unposed::find(folder.path()).expect("readable");
+            let written = found.write_masks(folder.path(), &MaskSource::Auto, folder.path(), &|| true);
+            let Unposed::Photographs { names, masks } = found else { panic!("no photographs") };
+            (names.len(), masks, written.expect("masks"))
+        };
+        assert_eq!(found(&["matte/1.png", "matte/2.png", "matte/3.png"]), (3, Vec::new(), 0));
+        assert_eq!(found(&["seg/a/1.png", "seg/b/1.png"]), (2, Vec::new(), 0));
+        let masked = ["death mask/a/1.png", "death mask/a/2.png", "death mask/masks/1.png"];
+        assert_eq!(found(&masked), (2, vec!["death mask/masks/1.png".to_owned()], 1));
+        assert_eq!(found(&["1.png", "masks/1.png"]), (1, vec!["masks/1.png".to_owned()], 1));
     }
 
     #[test]
