@@ -38,7 +38,7 @@ fn rows(groups: &[Group<'_>]) -> Vec<Vec<String>> {
         let Some(first) = groups[..place].iter().find(is_first) else { continue };
         let psnr = group.difference(first, |run| run.metrics.test.psnr);
         let pairs = psnr.map_or(0, |psnr| psnr.runs);
-        let time = |time: fn(&RunRecord) -> f64| of_pairs(group.time_ratio(first, time), pairs);
+        let time = |time: fn(&RunRecord) -> f64| of_pairs(group.time_ratio(first, time), 2, pairs);
         rows.push(vec![
             group.set().to_owned(),
             group.name(),
@@ -55,9 +55,9 @@ fn rows(groups: &[Group<'_>]) -> Vec<Vec<String>> {
     rows
 }
 
-/// A ratio of times, with the number of its pairs where that is not the row's.
-fn of_pairs(ratio: Option<Estimate>, pairs: usize) -> String {
-    let text = shown(ratio, 2);
+/// A ratio, with the number of its pairs where that is not the row's.
+pub(super) fn of_pairs(ratio: Option<Estimate>, decimals: usize, pairs: usize) -> String {
+    let text = shown(ratio, decimals);
     match ratio {
         Some(ratio) if ratio.runs != pairs => format!("{text} ({})", ratio.runs),
         _ => text,

@@ -4,7 +4,7 @@ use tcgs_codec::domain::{ByteCounts, CodingStages, RenderingError};
 use tcgs_engine::eval::Estimate;
 
 use super::{
-    against_first::against_first,
+    against_first::{against_first, of_pairs},
     cells::{decimal, shown, signed},
     conventions, equal_seconds,
     plots::Plots,
@@ -95,7 +95,31 @@ impl ReportContent<'_> {
             row.extend(FIGURES.iter().map(|(_, decimals, figure)| shown(group.estimate(figure), *decimals)));
             row
         });
-        vec![Block::Table(Table::new(head, rows))]
+        let mut blocks = vec![Block::Table(Table::new(head, rows))];
+        blocks.extend(self.corrected().map(Block::Note));
+        blocks
+    }
+
+    /// Which runs had color corrections of photographs; models of one table may differ in that.
+    fn corrected(&self) -> Option<String> {
+        let has = |run: &&&RunRecord| run.metrics.exposure.is_some_and(|exposure| exposure.corrected);
+        let of_group = |group: &Group<'_>| {
+            let count = group.runs.iter().filter(has).count();
+            let seeds = if count < group.runs.len() {
+                format!(" ({count} of {} seeds)", group.runs.len())
+            } else {
+                String::new()
+            };
+            (count > 0).then(|| format!("{} {} of {} steps{seeds}", group.set(), group.name(), group.steps()))
+        };
+        let named: Vec<String> = self.groups.iter().filter_map(of_group).collect();
+        let is_any = !named.is_empty();
+        is_any.then(|| {
+            format!(
+                "Color corrections of photographs were learnt by {}; all other runs had none. Seconds of training count the trial that decides.",
+                named.join(", ")
+            )
+        })
     }
 
     /// How far the worst held-out views lie below the mean.
@@ -166,7 +190,7 @@ impl ReportContent<'_> {
                 };
                 let other = self.groups.iter().find(is_it);
                 let times = other.and_then(|other| other.ratio(group, |run| run.metrics.bytes.total as f64));
-                row.push(shown(times, 1));
+                row.push(of_pairs(times, 1, group.runs.len()));
             }
             rows.push(row);
         }
@@ -268,10 +292,14 @@ impl ReportContent<'_> {
             row
         });
         let note = "dB are differences of held-out PSNR over the same few views; floats are attributes and networks as trained, before any \
-            rounding. Bits are those of the integer context networks over those of the float networks they were made of. The last \
-            three columns are of colors from 0 to 1: the renderer against the f64 reference on the decoded scene, and the reference \
-            against itself without the cut-offs of blending. * marks means whose interval excludes zero.";
+            rounding. Bits are those of the integer context networks over those of the float networks they were made of. * marks means whose \
+            interval excludes zero.";
         let mut blocks = vec![Block::Table(Table::new(head, rows)), Block::Note(note.to_owned())];
+        if self.records.iter().any(|run| run.metrics.rendering.is_some()) {
+            let note = "The last three columns are of colors from 0 to 1: the renderer against the f64 reference on the decoded scene, and \
+                the reference against itself without the cut-offs of blending.";
+            blocks.push(Block::Note(note.to_owned()));
+        }
         let exports = self.exports();
         if !exports.rows.is_empty() {
             let note =

@@ -197,8 +197,8 @@ pub struct Curve {
     pub set: String,
     pub name: String,
     adapter: String,
-    /// Points of each seed.
-    seeds: Vec<(u64, Vec<RatePoint>)>,
+    /// Points of each seed, with the names of the runs or files that they are of.
+    seeds: Vec<(u64, Vec<(String, RatePoint)>)>,
 }
 
 /// How one curve differs from another.
@@ -233,22 +233,25 @@ impl Curve {
             } else {
                 format!("{}{}, by steps", group.name(), group.variant())
             };
+            // A model of several weights or numbers has one schedule in a curve, and another several steps.
+            let label = format!("{} {}", group.name(), run.metrics.steps);
             for run in &group.runs {
                 let point = run.metrics.test.psnr.map(|psnr| (run.metrics.bytes.total as f64, psnr));
-                Self::add(&mut curves, run, &name, point);
+                Self::add(&mut curves, run, &name, (&label, point));
                 for export in run.exports.iter().filter(|_| group.is_pruned()) {
                     let name = format!("{} as {}, by number", group.curve_name(), export.format.name());
-                    Self::add(&mut curves, run, &name, export.psnr.map(|psnr| (export.bytes as f64, psnr)));
+                    let point = export.psnr.map(|psnr| (export.bytes as f64, psnr));
+                    Self::add(&mut curves, run, &name, (&label, point));
                 }
                 if run.options.model == ModelKind::Gaussians3d
                     && !group.is_pruned()
                     && !run.external_formats.is_empty()
                 {
                     let name = format!("{}, by format", group.curve_name());
-                    Self::add(&mut curves, run, &name, point);
+                    Self::add(&mut curves, run, &name, (&label, point));
                     for file in &run.external_formats {
                         let point = file.psnr.map(|psnr| (file.bytes as f64, psnr));
-                        Self::add(&mut curves, run, &name, point);
+                        Self::add(&mut curves, run, &name, (&file.format, point));
                     }
                 }
             }
@@ -258,8 +261,8 @@ impl Curve {
         curves
     }
 
-    fn add(curves: &mut Vec<Self>, run: &RunRecord, name: &str, point: Option<RatePoint>) {
-        let Some(point) = point else { return };
+    fn add(curves: &mut Vec<Self>, run: &RunRecord, name: &str, (label, point): (&str, Option<RatePoint>)) {
+        let Some(point) = point.map(|point| (label.to_owned(), point)) else { return };
         let (set, adapter) = (run.set.clone(), run.metrics.adapter.clone());
         let is_it = |curve: &Self| curve.set == set && curve.adapter == adapter && curve.name == name;
         let place = curves.iter().position(is_it).unwrap_or_else(|| {
@@ -276,6 +279,19 @@ impl Curve {
             Some((_, points)) => points.push(point),
             None => seeds.push((run.options.seed, vec![point])),
         }
+    }
+
+    /// The points of one seed that the other seeds have too, so that curves of several seeds have the same ends.
+    fn common(&self, seed: u64, seeds: &[u64]) -> Vec<RatePoint> {
+        let of = |wanted: u64| self.seeds.iter().find(|(seed, _)| *seed == wanted).map(|(_, points)| points);
+        let has = |seed: &u64, label: &str| {
+            of(*seed).is_some_and(|points| points.iter().any(|(own, _)| own == label))
+        };
+        let points = of(seed).into_iter().flatten();
+        points
+            .filter(|(label, _)| seeds.iter().all(|seed| has(seed, label)))
+            .map(|(_, point)| *point)
+            .collect()
     }
 
     /// Every pair of curves of one set that share some range in every seed that both have.
@@ -302,14 +318,13 @@ impl Curve {
     }
 
     fn difference(&self, test: &Self, fit: CurveFit) -> [Option<Estimate>; 2] {
+        let in_both = |seed: &u64| test.seeds.iter().any(|(other, _)| other == seed);
+        let seeds: Vec<u64> = self.seeds.iter().map(|(seed, _)| *seed).filter(in_both).collect();
         let over_seeds = |difference: fn(&[RatePoint], &[RatePoint], CurveFit) -> Option<f64>| {
-            let both = self.seeds.iter().filter_map(|(seed, points)| {
-                let (_, others) = test.seeds.iter().find(|(other, _)| other == seed)?;
-                Some((points, others))
-            });
+            let of_seed =
+                |seed: &u64| difference(&self.common(*seed, &seeds), &test.common(*seed, &seeds), fit);
             // A mean over the seeds alone whose curves share a range would be one over a choice.
-            let each: Option<Vec<f64>> =
-                both.map(|(points, others)| difference(points, others, fit)).collect();
+            let each: Option<Vec<f64>> = seeds.iter().map(of_seed).collect();
             Estimate::of(&each?)
         };
         [over_seeds(rate_difference), over_seeds(psnr_difference)]
@@ -414,10 +429,20 @@ pub mod tests {
         }
         // One seed whose curve is elsewhere.
         let mut elsewhere = curves.clone();
-        elsewhere[1].seeds[2].1.iter_mut().for_each(|(_, psnr)| *psnr += 40.0);
+        elsewhere[1].seeds[2].1.iter_mut().for_each(|(_, (_, psnr))| *psnr += 40.0);
         let apart = &Curve::differences(&elsewhere)[0];
         assert_eq!(apart.cubic[0].or(apart.pchip[0]), None, "a mean over two of three seeds");
         assert_eq!(apart.pchip[1].expect("all share sizes").runs, 3);
+        // One seed that goes further, where the curves differ more, than the others go.
+        let mut longer = records;
+        for (model, psnr) in [("tcgs", 31.0), ("tcgs-knn", 25.0)] {
+            let mut run = record(ModelKind::Tcgs, Some(0.0002), 0, psnr, 40_000);
+            run.model = model.to_owned();
+            longer.push(run);
+        }
+        let same = &Curve::differences(&Curve::all(&Group::all(&longer)))[0];
+        let rate = same.pchip[0].expect("a rate");
+        assert!((rate.mean - 100.0).abs() < 1e-6 && rate.half_width.expect("seeds") < 1e-6, "{rate:?}");
     }
 
     #[test]
@@ -445,7 +470,8 @@ pub mod tests {
             ["pruned 3dgs, 100 steps, by number", "pruned 3dgs, 100 steps as spz, by number"],
             "plain Gaussians alone are a point"
         );
-        assert_eq!(curves[1].seeds, [(0, vec![(1000.0, 29.0), (2000.0, 30.0)])]);
+        let points = curves[1].seeds[0].1.iter().map(|(_, point)| *point).collect::<Vec<_>>();
+        assert_eq!((curves[1].seeds[0].0, points), (0, vec![(1000.0, 29.0), (2000.0, 30.0)]));
     }
 
     #[test]
