@@ -17,8 +17,9 @@ use crate::{
 /// Bytes an anchor of `tcgs` files, networks and container included: 12.1 to 46.6 in recorded runs.
 const TCGS_ANCHOR_BYTES: ValueRange<u64> = ValueRange { low: 10, high: 50 };
 
-/// How many times fewer anchors or Gaussians a run may end with than it began with: 6 in the recorded run that lost most.
-const MAX_LOSS: u64 = 8;
+/// How many times fewer anchors or Gaussians a run may end with than it began with: 13 in the recorded run that lost most, of a set without
+/// points and a large weight of the rate.
+const MAX_LOSS: u64 = 32;
 
 /// Bytes of a Gaussian in a PLY file: 62 floats.
 const GAUSSIAN_BYTES: u64 = 62 * size_of::<f32>() as u64;
@@ -221,7 +222,7 @@ mod tests {
         };
         // docs/RESULTS.md and docs/LONG_RUNS.md; chair has no points.
         for (model, preset, bytes) in [
-            (ModelKind::Tcgs, "preview", [20_286, 155_713]),
+            (ModelKind::Tcgs, "preview", [7_471, 186_332]),
             (ModelKind::Tcgs, "standard", [144_283, 370_982]),
             (ModelKind::Scaffold, "preview", [822_059, 3_500_229]),
             (ModelKind::Gaussians3d, "preview", [1_364_007, 7_829_598]),
