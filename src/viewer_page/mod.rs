@@ -123,9 +123,14 @@ fn policy(workers: &str) -> String {
     )
 }
 
-/// JSON or a script within a `script` element, which would end at its end tag and not at an escaped one.
+/// A script within a `script` element, which would end at its end tag and not at an escaped one.
 fn in_script(text: &str) -> String {
     text.replace("</", "<\\/").replace("<!--", "<\\!--")
+}
+
+/// JSON within a `script` element. Only texts of it have the sign, and `\!` is no escape in them.
+fn data_in_script(json: &str) -> String {
+    json.replace('<', "\\u003c")
 }
 
 fn page(scene: &ViewerScene, policy: Option<&str>, parts: &Markup) -> Markup {
@@ -170,10 +175,39 @@ fn page(scene: &ViewerScene, policy: Option<&str>, parts: &Markup) -> Markup {
                         @if let Some(file) = &links.file { a href=(file.href) download { "Download" } }
                     }
                 }
-                script #scene type="application/json" { (PreEscaped(in_script(&data))) }
+                script #scene type="application/json" { (PreEscaped(data_in_script(&data))) }
                 (parts)
                 script { (PreEscaped(SCRIPT)) }
             }
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use crate::domain::{Intrinsics, Pose};
+
+    use super::*;
+
+    #[test]
+    fn any_text_of_a_scene_survives_the_page() {
+        let intrinsics = Intrinsics { fx: 50.0, fy: 50.0, cx: 20.0, cy: 15.0, width: 40, height: 30 };
+        let pose = Pose::look_at(DVec3::X, DVec3::ZERO, DVec3::Z).expect("a pose");
+        let camera = Camera::new(intrinsics, pose).expect("a camera");
+        let name = "<!-- <script> </script> --> <\\ & \" '";
+        let scene = ViewerScene {
+            title: name.to_owned(),
+            stops: vec![Stop::new(name.to_owned(), &camera, None)],
+            center: DVec3::ZERO,
+            up: DVec3::Z,
+            links: None,
+        };
+        let page = served(&scene).into_string();
+        let begin = "<script id=\"scene\" type=\"application/json\">";
+        let data = page.split(begin).nth(1).and_then(|rest| rest.split("</script>").next()).expect("data");
+        assert!(!data.contains('<'), "{data}");
+        let read: serde_json::Value = serde_json::from_str(data).expect("JSON");
+        assert_eq!(read["title"], name);
+        assert_eq!(read["stops"][0]["name"], name);
     }
 }
