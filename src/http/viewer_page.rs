@@ -156,8 +156,12 @@ fn scene_of(
 fn links(file: &SceneArtifact, link: &OptionalLink) -> Links {
     let SceneArtifact { format, lambda, blob } = *file;
     let root = if link.prefix.is_some() { ROOT_OF_LINK } else { ROOT };
-    // One of several files is asked for by its weight.
-    let query = lambda.map_or_else(String::new, |lambda| format!("?lambda={lambda}"));
+    let query = match &link.target {
+        // Such a link opens no other query.
+        Some(target) => target.split_once('?').map_or_else(String::new, |(_, query)| format!("?{query}")),
+        // One of several files is asked for by its weight.
+        None => lambda.map_or_else(String::new, |lambda| format!("?lambda={lambda}")),
+    };
     let of_file = |name: &str| format!("{name}{query}");
     let why = match (format, assets()) {
         (SceneFormat::Tcgs, Some(_)) => None,
@@ -170,6 +174,6 @@ fn links(file: &SceneArtifact, link: &OptionalLink) -> Links {
         module: format!("{root}/viewer/module.wasm"),
         worker: format!("{root}/viewer/worker.js"),
         view: of_file("view"),
-        report: "report".to_owned(),
+        report: link.target.is_none().then(|| "report".to_owned()),
     }
 }

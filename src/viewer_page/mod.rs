@@ -71,8 +71,8 @@ pub struct Links {
     pub worker: String,
     /// Views by the service.
     pub view: String,
-    /// The job's report.
-    pub report: String,
+    /// The job's report; none where it cannot be opened.
+    pub report: Option<String>,
 }
 
 /// A file to show.
@@ -171,7 +171,7 @@ fn page(scene: &ViewerScene, policy: Option<&str>, parts: &Markup) -> Markup {
                     button #shot type="button" { "Save picture" }
                     button #full type="button" { "Full screen" }
                     @if let Some(links) = links {
-                        a href=(links.report) { "Report" }
+                        @if let Some(report) = &links.report { a href=(report) { "Report" } }
                         @if let Some(file) = &links.file { a href=(file.href) download { "Download" } }
                     }
                 }

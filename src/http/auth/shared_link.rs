@@ -1,6 +1,7 @@
 //! Shared links: `/s/TOKEN/PATH` is `/PATH` for whoever has the link, as far as the link opens it.
 //!
-//! Invariants: a link opens reads of one job and nothing else; the token is taken out of the path before routing, so no log has it.
+//! Invariants: a link opens reads of one job and nothing else; a link of a page alone opens what the page loads, and the page leads nowhere
+//! else; the token is taken out of the path before routing, so no log has it.
 
 use std::convert::Infallible;
 
@@ -37,6 +38,31 @@ pub(crate) fn may_open(below: &str) -> bool {
     OPENED.iter().any(|route| route.strip_prefix("/v1/jobs/{id}/") == Some(below))
 }
 
+/// What a page loads as it is shown.
+fn loads(page: &str) -> &'static [&'static str] {
+    match (page, page.split('?').next()) {
+        // Of an unfinished job.
+        ("report" | "report?format=html", _) => &["events", "preview"],
+        (_, Some("viewer")) => &["artifact", "view"],
+        _ => &[],
+    }
+}
+
+/// Whether a link of `target` alone opens this, both as path and query below the job.
+fn is_opened_by(target: &str, below: &str) -> bool {
+    if target == below {
+        return true;
+    }
+    let weights = |path: &str| -> Vec<String> {
+        let query = path.split_once('?').map_or("", |(_, query)| query);
+        let all: Vec<(String, String)> = serde_urlencoded::from_str(query).unwrap_or_default();
+        all.into_iter().filter(|(name, _)| name == "lambda").map(|(_, value)| value).collect()
+    };
+    let path = below.split('?').next().unwrap_or_default();
+    // Of several files, the page of one opens no other.
+    loads(target).contains(&path) && weights(target) == weights(below)
+}
+
 /// The address of something below a link.
 pub(crate) fn prefix(token: &ShareToken) -> String {
     format!("/s/{}", token.expose())
@@ -67,6 +93,8 @@ pub(crate) fn take_token(mut request: Request) -> Request {
 pub(crate) struct OptionalLink {
     /// What the paths of the service have before them in this link.
     pub(crate) prefix: Option<String>,
+    /// The only thing that the link opens, as path and query below the job; `None` if it opens the whole page.
+    pub(crate) target: Option<String>,
 }
 
 impl<S: Sync> FromRequestParts<S> for OptionalLink {
@@ -112,11 +140,11 @@ pub(super) async fn admit(
     }
     let share = state.store().share(token.id).await?.ok_or_else(closed)?;
     let below = path.strip_prefix(&format!("/v1/jobs/{}/", share.job)).ok_or_else(closed)?;
-    if share.target.is_some_and(|target| target != below) {
+    if share.target.as_deref().is_some_and(|target| !is_opened_by(target, below)) {
         return Err(closed());
     }
     let caller = Caller { key: None, link: Some(share.id), project: share.project, admin: false };
-    Ok((caller, OptionalLink { prefix: Some(prefix(&token)) }))
+    Ok((caller, OptionalLink { prefix: Some(prefix(&token)), target: share.target }))
 }
 
 fn closed() -> ProblemResponse {
@@ -147,6 +175,37 @@ mod tests {
             assert_eq!(taken(other), (other.into(), None));
         }
         assert_eq!(taken(&format!("/s/{token}//evil.example/x")).0, "//evil.example/x");
+    }
+
+    #[test]
+    fn a_link_of_a_page_alone_opens_what_the_page_loads() {
+        for (target, below) in [
+            ("artifact", "artifact"),
+            ("viewer", "viewer"),
+            ("viewer", "artifact"),
+            ("viewer", "view?position=1,2,3&width=40"),
+            ("viewer?lambda=0.002", "artifact?lambda=0.002"),
+            ("viewer?lambda=0.002", "view?lambda=0.002&width=40"),
+            ("report", "events?after=7"),
+            ("report", "preview?of=photograph"),
+        ] {
+            assert!(is_opened_by(target, below), "{target} loads {below}");
+        }
+        for (target, below) in [
+            ("artifact", "artifact?lambda=0.002"),
+            ("artifact", "view"),
+            ("viewer", "report"),
+            ("viewer", "viewer?lambda=0.002"),
+            ("viewer", "artifact?lambda=0.002"),
+            ("viewer", "view?width=40&%6Cambda=0.002"),
+            ("viewer?lambda=0.002", "artifact"),
+            ("viewer?lambda=0.002", "view?lambda=0.02"),
+            ("viewer?lambda=0.002", "view?lambda=0.002&lambda=0.02"),
+            ("report", "artifact"),
+            ("report?format=csv", "preview"),
+        ] {
+            assert!(!is_opened_by(target, below), "{target} does not load {below}");
+        }
     }
 
     #[test]

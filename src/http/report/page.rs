@@ -115,9 +115,14 @@ impl Page {
         self.link.prefix.is_some()
     }
 
+    /// Whether the page is all that a link opens.
+    fn is_alone(&self) -> bool {
+        self.link.target.is_some()
+    }
+
     /// Links to the files of a finished job. They are relative, so that a proxy may serve the page below a path.
     fn downloads(&self) -> Markup {
-        let Some(first) = self.record.scenes().next() else { return html! {} };
+        let Some(first) = self.record.scenes().next().filter(|_| !self.is_alone()) else { return html! {} };
         let file = first.format.extension();
         html! {
             p.downloads {
@@ -132,7 +137,7 @@ impl Page {
 
     /// The best of the held-out views, which leads to the page that turns the scene, and links to the other files of a curve.
     fn viewer(&self) -> Markup {
-        if !self.has_cameras {
+        if !self.has_cameras || self.is_alone() {
             return html! {};
         }
         let weights: Vec<f64> = self.record.scenes().filter_map(|scene| scene.lambda).collect();

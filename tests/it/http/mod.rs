@@ -83,6 +83,7 @@ scenarios! {
     shares {
         a_link_opens_a_jobs_page_and_what_it_shows_and_nothing_else,
         a_link_may_open_one_thing_alone,
+        a_link_of_a_page_alone_opens_what_the_page_loads,
         every_replica_knows_the_links_of_the_others,
     }
     projects {

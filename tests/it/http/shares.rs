@@ -164,6 +164,39 @@ pub(super) async fn a_link_may_open_one_thing_alone(coverage: Coverage) {
     share(&server, &job, &key, None).await.expect_problem(409, "too-many-shares");
 }
 
+pub(super) async fn a_link_of_a_page_alone_opens_what_the_page_loads(coverage: Coverage) {
+    let (setup, _) = stopped_clock();
+    let server = Server::start_with(&coverage, Setup { worker: true, ..setup }).await;
+    let key = server.key(&[Scope::Read, Scope::JobsWrite]).await;
+    let job = finished(&server, &key).await;
+    let page = async |target: &str| {
+        let made = share(&server, &job, &key, Some(json!({ "path": target }))).await.expect(201);
+        let url = made.json()["url"].as_str().expect("a path").to_owned();
+        let page = String::from_utf8(server.get(&url).await.expect(200).body.to_vec()).expect("UTF-8");
+        (url.strip_suffix(target).expect("the target at the end").to_owned(), page)
+    };
+    let (base, viewer) = page("viewer").await;
+    for loaded in ["artifact", "view?position=4,0,0&look_at=0,0,0&width=40", "view?frame=test/r_0&width=40"] {
+        server.get(&format!("{base}{loaded}")).await.expect(200);
+    }
+    for other in ["report", "events", "preview", "export?format=ply", "thumbnail"] {
+        server.get(&format!("{base}{other}")).await.expect_problem(404, "not-found");
+    }
+    for element in parse(&viewer).iter().filter(|element| element.name == "a") {
+        server.get(&format!("{base}{}", element.attributes["href"])).await.expect(200);
+    }
+
+    let (base, report) = page("report").await;
+    for loaded in ["events", "preview"] {
+        server.get(&format!("{base}{loaded}")).await.expect(200);
+    }
+    for other in ["viewer", "artifact", "view?frame=test/r_0", "report?format=csv", "export?format=spz"] {
+        server.get(&format!("{base}{other}")).await.expect_problem(404, "not-found");
+    }
+    let links: Vec<_> = parse(&report).into_iter().filter(|element| element.name == "a").collect();
+    assert!(links.is_empty(), "{links:?}");
+}
+
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn holders_of_one_link_leave_the_places_of_other_links_free() {
     let (setup, _) = stopped_clock();
