@@ -31,7 +31,7 @@
   const reach = Math.max(...scene.stops.map(({ camera_to_world: rows }) => length(add(column(rows, 3), scene.center, -1))), 1e-6);
   const MIN_DISTANCE = 0.02 * reach;
   const MAX_DISTANCE = 3 * reach;
-  const STEEPEST = 0.995;
+  const LEAST_UPRIGHT = 0.1;
   let pose = null;
   let lens = null;
   let stop = 0;
@@ -40,7 +40,9 @@
     stop = (index + scene.stops.length) % scene.stops.length;
     const { camera_to_world: rows, fx, fy, cx, cy, width, height } = scene.stops[stop];
     const [right, down, ahead, position] = [0, 1, 2, 3].map(i => column(rows, i));
-    const distance = clamp(dot(add(scene.center, position, -1), ahead), MIN_DISTANCE, MAX_DISTANCE);
+    const depth = dot(add(scene.center, position, -1), ahead);
+    // Cameras that look outwards have the center behind them.
+    const distance = depth > MIN_DISTANCE ? Math.min(depth, MAX_DISTANCE) : reach;
     pose = { right, down, ahead, position, distance };
     lens = { fx, fy, cx, cy, width, height };
     stops.value = String(stop);
@@ -50,14 +52,15 @@
   const rotate = (axis, angle) => {
     for (const name of ['right', 'down', 'ahead']) pose[name] = unit(turned(pose[name], axis, angle));
   };
+  // 1 for a level camera, 0 for one that looks straight up or down, less for one on its head.
+  const upright = down => -dot(down, up);
   const turn = (across, along) => {
     const held = flying ? pose.position : pivot();
     const sign = flying ? -1 : 1;
     rotate(up, -sign * across);
-    const before = pose.ahead;
     const angle = -sign * along;
-    const steepness = Math.abs(dot(turned(before, pose.right, angle), up));
-    if (steepness < STEEPEST || steepness < Math.abs(dot(before, up))) rotate(pose.right, angle);
+    const next = upright(turned(pose.down, pose.right, angle));
+    if (next > LEAST_UPRIGHT || next >= upright(pose.down) - 1e-9) rotate(pose.right, angle);
     pose.position = flying ? held : add(held, pose.ahead, -pose.distance);
     show();
   };
@@ -323,6 +326,8 @@
     '+': () => approach(0.9), '-': () => approach(1 / 0.9), 0: () => go(stop), ',': () => go(stop - 1), '.': () => go(stop + 1),
   };
   stage.addEventListener('keydown', event => {
+    // The photograph's slider has keys of its own.
+    if (event.target !== stage) return;
     if (event.ctrlKey || event.metaKey || event.altKey) return;
     if (FLIGHT[event.code]) {
       if (!held.size) requestAnimationFrame(fly);
@@ -370,6 +375,6 @@
   go(0);
   open().catch(fault => (scene.view ? byService(`${fault.message}.`.replace(/\.\.$/, '.')) : say(fault.message))).finally(() => {
     loading.hidden = true;
-    if (draw) show(true);
+    if (draw) show(atStop);
   });
 })();

@@ -48,6 +48,11 @@ impl Page {
 
     /// As [`Page::open`], with flags of the browser.
     pub async fn open_with(program: &str, flags: &[&str], url: &str) -> Self {
+        Self::open_after(program, flags, "", url).await
+    }
+
+    /// As [`Page::open_with`], with a script that runs before those of the page.
+    pub async fn open_after(program: &str, flags: &[&str], script: &str, url: &str) -> Self {
         let profile = tempfile::tempdir().expect("a folder");
         // It reads commands at 3 and answers at 4, with a zero byte behind each.
         let mut command = Command::new("sh");
@@ -77,6 +82,7 @@ impl Page {
         for domain in ["Page", "Runtime", "Network", "Log"] {
             page.ask(&format!("{domain}.enable"), json!({})).await;
         }
+        page.ask("Page.addScriptToEvaluateOnNewDocument", json!({ "source": script })).await;
         page.ask("Page.navigate", json!({ "url": url })).await;
         page
     }

@@ -4,6 +4,7 @@
 use std::fs;
 
 use base64::{Engine as _, engine::general_purpose::STANDARD};
+use glam::DVec3;
 use serde_json::{Value, json};
 use tcgs::{codec, viewer_page::assets};
 
@@ -70,6 +71,16 @@ const WHEEL: &str = "(() => {
     for (let i = 0; i < 100; i += 1) stage.dispatchEvent(new WheelEvent('wheel', { deltaY: 200, cancelable: true }));
 })()";
 
+/// Puts the scene's center behind the first stop's camera.
+const LOOKING_OUTWARDS: &str = "{
+    const parse = JSON.parse;
+    JSON.parse = (...asked) => {
+        const read = parse(...asked);
+        if (read && read.stops) read.center = read.stops[0].camera_to_world.slice(0, 3).map(row => row[3] - row[2]);
+        return read;
+    };
+}";
+
 /// Pixels of a picture of which at most this part may differ by more than one level.
 const TOLERATED: f64 = 0.001;
 
@@ -128,24 +139,24 @@ async fn a_page_from_a_disk_decodes_and_draws_the_scene_as_this_machine_does() {
     assert!(requests.is_empty(), "{requests:?}");
 }
 
-/// Where the camera is and what it looks at, in the last view that the page asks the service for once it rests.
-async fn settled_view(page: &mut Page) -> (Vec<f64>, Vec<f64>) {
+/// The last view that the page asks the service for once it rests.
+async fn settled_view(page: &mut Page) -> reqwest::Url {
     page.until("document.getElementById('stage').dataset.picture", |picture| *picture == "full").await;
-    let of = |url: &String| {
-        let url = reqwest::Url::parse(url).ok().filter(|url| url.path().ends_with("/view"))?;
-        let vector = |name: &str| -> Option<Vec<f64>> {
-            let (_, text) = url.query_pairs().find(|(found, _)| found == name)?;
-            text.split(',').map(|number| number.parse().ok()).collect()
-        };
-        Some((vector("position")?, vector("look_at")?))
-    };
+    let of = |url: &String| reqwest::Url::parse(url).ok().filter(|url| url.path().ends_with("/view"));
     page.requests.iter().rev().find_map(of).expect("a view was asked for")
 }
 
-/// The camera's distance from what it looks at there.
+/// The numbers of a parameter.
+fn vector(url: &reqwest::Url, name: &str) -> DVec3 {
+    let (_, text) = url.query_pairs().find(|(found, _)| found == name).expect(name);
+    let numbers: Vec<f64> = text.split(',').map(|number| number.parse().expect("a number")).collect();
+    DVec3::from_slice(&numbers)
+}
+
+/// The camera's distance from what it looks at in that view.
 async fn settled_distance(page: &mut Page) -> f64 {
-    let (from, to) = settled_view(page).await;
-    from.iter().zip(&to).map(|(a, b)| (a - b).powi(2)).sum::<f64>().sqrt()
+    let view = settled_view(page).await;
+    vector(&view, "position").distance(vector(&view, "look_at"))
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
@@ -249,4 +260,31 @@ async fn a_report_fits_a_phone_and_its_picture_leads_to_the_viewer() {
     page.until(PATH, |path| *path == format!("{job}/viewer")).await;
     page.until(SHOWN, |shown| *shown == "service").await;
     assert_eq!(page.faults, Vec::<String>::new());
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn no_drag_puts_the_camera_on_its_head_and_outward_cameras_come_nearer() {
+    let Some(program) = browser::find() else { return skip("Chromium is not installed") };
+    let server = Server::start(&Coverage::default()).await;
+    let job = server.succeeded().await;
+    let url = format!("http://{}{job}/viewer", server.address);
+    let mut page = Page::open_after(program, &["--disable-gpu"], LOOKING_OUTWARDS, &url).await;
+    page.resize(800, 600).await;
+    page.until(SHOWN, |shown| *shown == "service").await;
+    let began = settled_distance(&mut page).await;
+    let wheel = "document.getElementById('stage').dispatchEvent(new WheelEvent('wheel', { deltaY: -500, cancelable: true }))";
+    page.evaluate(wheel).await;
+    let ended = settled_distance(&mut page).await;
+    assert!(ended < 0.7 * began, "from {began} to {ended}");
+
+    let up = page.evaluate("JSON.parse(document.getElementById('scene').textContent).up.join()").await;
+    let up: Vec<f64> = up.as_str().expect("text").split(',').map(|v| v.parse().expect("a number")).collect();
+    // Each by 1.5 rad in one event: from any camera, one of them leads over a pole.
+    for (from, to) in [(100.0, 500.0), (500.0, 100.0), (500.0, 100.0)] {
+        page.mouse("mousePressed", 400.0, from).await;
+        page.mouse("mouseMoved", 401.0, to).await;
+        page.mouse("mouseReleased", 401.0, to).await;
+        let view = settled_view(&mut page).await;
+        assert!(vector(&view, "up").dot(DVec3::from_slice(&up)) > 0.0, "{view}");
+    }
 }
