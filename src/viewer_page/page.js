@@ -215,10 +215,14 @@
       const [w, h] = [width, height].map(v => Math.max(1, Math.round(v * fits)));
       const began = performance.now();
       const { fx } = camera(w, h);
-      const query = new URLSearchParams({
+      // A query has no principal point and one focal length. Beside a photograph the picture is that of its frame, which has all.
+      const { name, photograph: beside } = scene.stops[stop];
+      const framed = atStop && Boolean(beside);
+      const asked = framed ? { frame: name, width: Math.max(1, Math.round(lens.width * fx / lens.fx)) } : {
         position: pose.position, look_at: add(pose.position, pose.ahead, pose.distance), up: pose.down.map(v => -v),
-        fov: 2 * Math.atan(w / (2 * fx)) * 180 / Math.PI, width: w, height: h, format: 'jpeg',
-      });
+        fov: 2 * Math.atan(w / (2 * fx)) * 180 / Math.PI, width: w, height: h,
+      };
+      const query = new URLSearchParams({ ...asked, format: 'jpeg' });
       const answer = await fetch(`${scene.view}${scene.view.includes('?') ? '&' : '?'}${query}`);
       if (answer.status === 429 || answer.status === 503) {
         await new Promise(done => setTimeout(done, 1000 * (Number(answer.headers.get('retry-after')) || 1)));
@@ -230,6 +234,7 @@
       shown = await answer.blob();
       picture.src = URL.createObjectURL(shown);
       picture.hidden = false;
+      for (const side of ['left', 'top', 'width', 'height']) picture.style[side] = framed ? photograph.style[side] : '';
       if (old.startsWith('blob:')) URL.revokeObjectURL(old);
       if (!told) { told = true; say(`${why} The service draws the pictures.`); }
       return performance.now() - began;

@@ -71,6 +71,18 @@ const WHEEL: &str = "(() => {
     for (let i = 0; i < 100; i += 1) stage.dispatchEvent(new WheelEvent('wheel', { deltaY: 200, cancelable: true }));
 })()";
 
+/// Gives the first stop a photograph, and keeps the page from finding an adapter until `release` is called.
+const BESIDE_A_PHOTOGRAPH: &str = "{
+    const parse = JSON.parse;
+    JSON.parse = (...asked) => {
+        const read = parse(...asked);
+        if (read && read.stops) read.stops[0].photograph = 'AAAA';
+        return read;
+    };
+    const adapter = new Promise(done => { window.release = () => done(null); });
+    Object.defineProperty(navigator, 'gpu', { value: { requestAdapter: () => adapter } });
+}";
+
 /// Puts the scene's center behind the first stop's camera.
 const LOOKING_OUTWARDS: &str = "{
     const parse = JSON.parse;
@@ -80,6 +92,12 @@ const LOOKING_OUTWARDS: &str = "{
         return read;
     };
 }";
+
+/// Whether two elements are in the same place: `a` and `b` are their names.
+const IN_ONE_PLACE: &str = "((a, b) => {
+    const [one, other] = [a, b].map(id => document.getElementById(id).getBoundingClientRect());
+    return ['left', 'top', 'width', 'height'].every(side => Math.abs(one[side] - other[side]) < 0.5);
+})";
 
 /// Pixels of a picture of which at most this part may differ by more than one level.
 const TOLERATED: f64 = 0.001;
@@ -260,6 +278,44 @@ async fn a_report_fits_a_phone_and_its_picture_leads_to_the_viewer() {
     page.until(PATH, |path| *path == format!("{job}/viewer")).await;
     page.until(SHOWN, |shown| *shown == "service").await;
     assert_eq!(page.faults, Vec::<String>::new());
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn beside_a_photograph_the_page_shows_its_frame_in_its_place() {
+    let Some(program) = browser::find() else { return skip("Chromium is not installed") };
+    if assets().is_none() {
+        return skip("the viewer for browsers was not built: scripts/web.sh does, before the program");
+    }
+    let server = Server::start(&Coverage::default()).await;
+    let job = server.succeeded().await;
+    let url = format!("http://{}{job}/viewer", server.address);
+    let mut page = Page::open_after(program, &["--disable-gpu"], BESIDE_A_PHOTOGRAPH, &url).await;
+    let is_beside = "document.getElementById('photograph')?.hidden === false";
+    page.until(is_beside, |beside| *beside == true).await;
+    // Who moves while the page opens stays there.
+    page.evaluate("document.getElementById('stage').focus()").await;
+    page.key("ArrowLeft").await;
+    page.evaluate("window.release()").await;
+    page.until(SHOWN, |shown| *shown == "service").await;
+    settled_view(&mut page).await;
+    assert_eq!(page.evaluate(is_beside).await, false);
+
+    page.key("0").await;
+    let view = settled_view(&mut page).await;
+    assert!(view.query_pairs().any(|(name, value)| name == "frame" && value == "test/r_0"), "{view}");
+    assert_eq!(page.evaluate(is_beside).await, true);
+    assert_eq!(page.evaluate(&format!("{IN_ONE_PLACE}('picture', 'photograph')")).await, true);
+    // The slider's keys move the slider.
+    page.evaluate("document.getElementById('wipe').focus()").await;
+    page.key("ArrowRight").await;
+    page.until("document.getElementById('wipe').value", |value| *value == "51").await;
+    assert_eq!(page.evaluate(is_beside).await, true);
+
+    page.evaluate("document.getElementById('stage').focus()").await;
+    page.key("ArrowRight").await;
+    let view = settled_view(&mut page).await;
+    assert!(view.query_pairs().any(|(name, _)| name == "position"), "{view}");
+    assert_eq!(page.evaluate(&format!("{IN_ONE_PLACE}('picture', 'stage')")).await, true);
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
