@@ -98,13 +98,16 @@
   };
 
   // Drawing: while the scene moves, as large as is quick; at rest in full.
-  const AIM_MS = 40;
   const REST_MS = 150;
+  let aim = 40;
+  let least = 0.1;
   let draw = null;
   let busy = false;
   let wanted = null;
   let resting = 0;
   let coarse = 1;
+  let whole = 0;
+  let fixed = 0;
   let frames = 0;
   let atStop = false;
   let deep = false;
@@ -121,17 +124,33 @@
     resting = setTimeout(() => { wanted = 'full'; pump(); }, REST_MS);
     pump();
   };
+  // A picture takes a time that no size changes, and a time for its pixels. Fewer pixels make up for the latter alone, so the former,
+  // which is known from pictures of two sizes, is at most as long again. It is forgotten slowly, or one late picture would count for good.
+  const pace = (scale, ms) => {
+    const pixels = scale * scale;
+    if (pixels > 0.8) {
+      whole = ms;
+      fixed = Math.min(0.9 * fixed, ms);
+    } else fixed = clamp((ms - whole * pixels) / (1 - pixels), 0, ms);
+    const variable = Math.max(ms - fixed, 1e-3) / pixels;
+    coarse = clamp(Math.sqrt(Math.max(aim - fixed, fixed) / variable), least, 1);
+  };
   const pump = async () => {
     if (busy || !wanted || !draw) return;
-    const full = wanted === 'full';
+    const kind = wanted;
+    const full = kind === 'full';
+    const scale = full ? 1 : coarse;
     wanted = null;
     busy = true;
     try {
-      const ms = await draw(...size(full ? 1 : coarse), full);
-      frames += 1;
-      stage.dataset.frames = frames;
-      if (full && !wanted) stage.dataset.picture = 'full';
-      if (ms && !full) coarse = clamp(coarse * Math.sqrt(AIM_MS / ms), 0.1, 1);
+      const ms = await draw(...size(scale), full);
+      if (ms === null) wanted = wanted || kind;
+      else {
+        frames += 1;
+        stage.dataset.frames = frames;
+        if (full && !wanted) stage.dataset.picture = 'full';
+        pace(scale, ms);
+      }
     } catch (fault) {
       say(fault.message);
     }
@@ -209,7 +228,8 @@
     stage.dataset.mode = 'service';
     if (!scene.view) { say(`${why} This page has no service that could draw the scene.`); return; }
     say(`${why} The service draws the first picture.`);
-    let told = false;
+    // Most of the time is the network's and the queue's.
+    [aim, least, coarse, whole, fixed] = [250, 0.4, 1, 0, 0];
     draw = async (width, height) => {
       const fits = Math.min(1, 1280 / Math.max(width, height));
       const [w, h] = [width, height].map(v => Math.max(1, Math.round(v * fits)));
@@ -226,8 +246,7 @@
       const answer = await fetch(`${scene.view}${scene.view.includes('?') ? '&' : '?'}${query}`);
       if (answer.status === 429 || answer.status === 503) {
         await new Promise(done => setTimeout(done, 1000 * (Number(answer.headers.get('retry-after')) || 1)));
-        wanted = wanted || 'coarse';
-        return 0;
+        return null;
       }
       if (!answer.ok) throw new Error((await answer.json().catch(() => ({}))).detail || `The service answered ${answer.status}.`);
       const old = picture.src;
@@ -236,7 +255,8 @@
       picture.hidden = false;
       for (const side of ['left', 'top', 'width', 'height']) picture.style[side] = framed ? photograph.style[side] : '';
       if (old.startsWith('blob:')) URL.revokeObjectURL(old);
-      if (!told) { told = true; say(`${why} The service draws the pictures.`); }
+      const well = `${why} The service draws the pictures.`;
+      if (line.textContent !== well) say(well);
       return performance.now() - began;
     };
   };

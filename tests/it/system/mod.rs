@@ -17,6 +17,7 @@ mod hostile_uploads;
 mod io_faults;
 mod killed;
 mod machines;
+mod page_faults;
 mod photographs;
 mod postgres;
 mod power_cuts;
