@@ -152,10 +152,17 @@
         pace(scale, ms);
       }
     } catch (fault) {
-      say(fault.message);
+      fail(fault);
     }
     busy = false;
     requestAnimationFrame(pump);
+  };
+  const sentence = fault => `${fault.message}.`.replace(/\.\.$/, '.');
+  // Faults of the device and of the module stay. One view may need too much memory where others do not.
+  const fail = fault => {
+    if (!worker || (frames && fault.message.startsWith("buffer '"))) { say(fault.message); return; }
+    byService(sentence(fault));
+    show(atStop);
   };
 
   // The photograph lies over the stop's picture, up to the slider.
@@ -224,7 +231,12 @@
   // By the service.
   let shown = null;
   const byService = why => {
-    canvas.hidden = true;
+    if (worker) worker.terminate();
+    worker = null;
+    while (waiting.length) waiting.shift().failed(new Error(why));
+    draw = null;
+    deep = false;
+    canvas.hidden = overlay.hidden = byId('depth').hidden = true;
     stage.dataset.mode = 'service';
     if (!scene.view) { say(`${why} This page has no service that could draw the scene.`); return; }
     say(`${why} The service draws the first picture.`);
@@ -376,7 +388,7 @@
   byId('again').addEventListener('click', () => go(stop));
   byId('full').addEventListener('click', () => (document.fullscreenElement ? document.exitFullscreen() : document.documentElement.requestFullscreen()));
   stops.addEventListener('change', () => go(Number(stops.value)));
-  byId('shot').addEventListener('click', async () => {
+  const save = async () => {
     const [width, height] = size(1);
     let blob;
     if (worker) {
@@ -393,12 +405,13 @@
     link.download = `${scene.title.replace(/[^\w.-]+/g, '-')}.${worker ? 'png' : 'jpg'}`;
     link.click();
     setTimeout(() => URL.revokeObjectURL(link.href), 1000);
-  });
+  };
+  byId('shot').addEventListener('click', () => save().catch(fail));
   new ResizeObserver(() => { if (pose) show(atStop); }).observe(stage);
 
   scene.stops.forEach(({ name }, index) => stops.append(new Option(name, String(index))));
   go(0);
-  open().catch(fault => (scene.view ? byService(`${fault.message}.`.replace(/\.\.$/, '.')) : say(fault.message))).finally(() => {
+  open().catch(fault => (scene.view ? byService(sentence(fault)) : say(fault.message))).finally(() => {
     loading.hidden = true;
     if (draw) show(atStop);
   });

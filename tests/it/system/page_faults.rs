@@ -1,7 +1,10 @@
 //! Pages in a real browser when something goes wrong: a service that is slow or silent, a lost device, hidden pages, and files that are
 //! gone.
 
-use super::viewer_page::SHOWN;
+use serde_json::json;
+use tcgs::{gpu::GpuError, viewer_page::assets};
+
+use super::viewer_page::{SAVED, SHOWN};
 use crate::support::{
     browser::{self, Page},
     contract::Coverage,
@@ -24,6 +27,23 @@ const SLOW: &str = "{
         window.refusals -= 1;
         return new Response('{}', { status: window.status });
     };
+}";
+
+/// In place of WebGPU: a worker that draws nothing, and ends with `fault` once there is one.
+const WORKER: &str = "{
+    Object.defineProperty(navigator, 'gpu', { value: { requestAdapter: async () => ({}) } });
+    Object.assign(window, { fault: null, terminated: 0 });
+    window.Worker = class {
+        constructor(address) { window.started = String(address); }
+        postMessage(message) {
+            const isOpening = 'open' in message;
+            const data = isOpening ? { opened: { gaussians: 1, decode_sha256: '' } } : { drawn: true, depth: new Float32Array(1) };
+            setTimeout(() => this.onmessage({ data: window.fault && !isOpening ? { fault: window.fault } : data }));
+        }
+        terminate() { window.terminated += 1; }
+    };
+    // Depths of a picture that nobody drew.
+    CanvasRenderingContext2D.prototype.putImageData = () => {};
 }";
 
 /// Turns by a key, and waits for a picture.
@@ -70,4 +90,39 @@ async fn pictures_of_a_slow_service_stay_large_and_those_it_refuses_come_later()
     page.until("window.refusals", |left| *left == 0).await;
     turn(&mut page).await;
     page.until(LINE, well).await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn after_a_fault_of_the_device_the_service_draws() {
+    let Some(program) = browser::find() else { return skip("Chromium is not installed") };
+    if assets().is_none() {
+        return skip("the viewer for browsers was not built: scripts/web.sh does, before the program");
+    }
+    let server = Server::start(&Coverage::default()).await;
+    let job = server.succeeded().await;
+    let url = format!("http://{}{job}/viewer", server.address);
+    let mut page = Page::open_after(program, &NO_GPU, WORKER, &url).await;
+    page.until(SHOWN, |shown| *shown == "webgpu").await;
+    page.evaluate("document.getElementById('stage').focus()").await;
+    let large = GpuError::BufferTooLarge { label: "keys".to_owned(), bytes: 5, limit: 4 }.to_string();
+    page.evaluate(&format!("window.fault = {}", json!(large))).await;
+    page.key("ArrowLeft").await;
+    page.until(LINE, |line| *line == large.as_str()).await;
+    page.evaluate("window.fault = null").await;
+    turn(&mut page).await;
+    assert_eq!(page.evaluate(SHOWN).await, "webgpu", "another view may need less");
+
+    page.evaluate("document.getElementById('depth').click()").await;
+    page.until("document.getElementById('overlay').hidden", |hidden| *hidden == false).await;
+    let lost = GpuError::DeviceLost("as the test wants it".to_owned()).to_string();
+    page.evaluate(&format!("window.fault = {}; document.getElementById('stage').focus()", json!(lost))).await;
+    page.key("ArrowLeft").await;
+    page.until(SHOWN, |shown| *shown == "service").await;
+    let well = format!("{lost}. The service draws the pictures.");
+    page.until(LINE, |line| *line == well.as_str()).await;
+    let hidden = "['canvas', 'overlay', 'depth'].every(id => document.getElementById(id).hidden)";
+    assert_eq!(page.evaluate(hidden).await, true);
+    // The start of a JPEG in base64.
+    assert!(page.evaluate(SAVED).await.as_str().is_some_and(|saved| saved.starts_with("/9j/")));
+    assert_eq!(page.evaluate("window.terminated").await, 1, "nothing more is asked of it");
 }

@@ -35,7 +35,7 @@ pub(super) const SHOWN: &str = "(() => {
 })()";
 
 /// The picture that a press of the button saves, as a PNG in base64.
-const SAVED: &str = "(async () => {
+pub(super) const SAVED: &str = "(async () => {
     const saved = new Promise(done => {
         const address = URL.createObjectURL;
         URL.createObjectURL = blob => { done(blob); return address.call(URL, blob); };
