@@ -13,6 +13,8 @@
   const loading = byId('loading');
   const stops = byId('stops');
   const say = text => { line.textContent = text; };
+  // The page's own address may hold a user's name and key, which no request may; the browser sends them anyway.
+  const at = address => new URL(address, new URL(location.pathname, location.origin));
 
   const add = (a, b, by = 1) => a.map((v, i) => v + by * b[i]);
   const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
@@ -255,7 +257,7 @@
         fov: 2 * Math.atan(w / (2 * fx)) * 180 / Math.PI, width: w, height: h,
       };
       const query = new URLSearchParams({ ...asked, format: 'jpeg' });
-      const answer = await fetch(`${scene.view}${scene.view.includes('?') ? '&' : '?'}${query}`);
+      const answer = await fetch(at(`${scene.view}${scene.view.includes('?') ? '&' : '?'}${query}`));
       if (answer.status === 429 || answer.status === 503) {
         await new Promise(done => setTimeout(done, 1000 * (Number(answer.headers.get('retry-after')) || 1)));
         return null;
@@ -281,7 +283,7 @@
     return new Response(new Blob([bytes]).stream().pipeThrough(new DecompressionStream('gzip'))).arrayBuffer();
   };
   const fetched = async (address, size) => {
-    const answer = await fetch(address);
+    const answer = await fetch(at(address));
     if (!answer.ok) throw new Error((await answer.json().catch(() => ({}))).detail || `The service answered ${answer.status}.`);
     const parts = [];
     let got = 0;
@@ -310,7 +312,7 @@
       : [fetched(scene.module), fetched(scene.file.href, scene.file.bytes)]);
     say('Decoding');
     loading.removeAttribute('value');
-    start(inside ? URL.createObjectURL(new Blob([byId('worker').textContent], { type: 'text/javascript' })) : scene.worker);
+    start(inside ? URL.createObjectURL(new Blob([byId('worker').textContent], { type: 'text/javascript' })) : at(scene.worker));
     const surface = canvas.transferControlToOffscreen();
     const { opened } = await ask({ open: { module, file, canvas: surface } }, [module, file, surface]);
     return byWebGpu(opened);

@@ -2,12 +2,13 @@
 //! gone.
 
 use serde_json::json;
-use tcgs::{gpu::GpuError, viewer_page::assets};
+use tcgs::{domain::Scope, gpu::GpuError, viewer_page::assets};
 
 use super::viewer_page::{SAVED, SHOWN};
 use crate::support::{
     browser::{self, Page},
     contract::Coverage,
+    eventually::eventually,
     server::Server,
     skip::skip,
 };
@@ -125,4 +126,32 @@ async fn after_a_fault_of_the_device_the_service_draws() {
     // The start of a JPEG in base64.
     assert!(page.evaluate(SAVED).await.as_str().is_some_and(|saved| saved.starts_with("/9j/")));
     assert_eq!(page.evaluate("window.terminated").await, 1, "nothing more is asked of it");
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_key_in_the_address_is_in_no_request_and_a_first_fault_leads_to_the_service() {
+    let Some(program) = browser::find() else { return skip("Chromium is not installed") };
+    if assets().is_none() {
+        return skip("the viewer for browsers was not built: scripts/web.sh does, before the program");
+    }
+    let server = Server::start(&Coverage::default()).await;
+    let key = server.key(&[Scope::Read, Scope::JobsWrite]).await.key;
+    let created = server.send("POST", "/v1/jobs", |request| {
+        request.bearer_auth(&key).header("content-type", "application/zip").body("succeed")
+    });
+    let job = created.await.expect(201).header("location").to_owned();
+    eventually("the job has succeeded", async || {
+        let answer = server.send("GET", &job, |request| request.bearer_auth(&key)).await;
+        answer.json()["state"] == "succeeded"
+    })
+    .await;
+    let url = format!("http://me:{key}@{}{job}/viewer", server.address);
+    let large = GpuError::BufferTooLarge { label: "keys".to_owned(), bytes: 5, limit: 4 }.to_string();
+    let script = format!("{WORKER} window.fault = {};", json!(large));
+    let mut page = Page::open_after(program, &NO_GPU, &script, &url).await;
+    page.until(SHOWN, |shown| *shown == "service").await;
+    page.until(PICTURE, |picture| *picture == "full").await;
+    assert_eq!(page.evaluate("window.started").await, format!("http://{}/viewer/worker.js", server.address));
+    let well = format!("{large}. The service draws the pictures.");
+    assert_eq!(page.evaluate(LINE).await, well);
 }
