@@ -12,6 +12,7 @@
   // The page itself, asked for again, has the cards that changed.
   let busy = false;
   let again = false;
+  let failed = false;
   const refresh = async () => {
     if (busy) { again = true; return; }
     busy = true;
@@ -20,10 +21,12 @@
     try {
       const answer = await fetch(location.origin + location.pathname + location.search, { headers: { Accept: 'text/html' } });
       if (answer.ok) {
+        if (failed && at('told').textContent === silent) tell('');
+        failed = false;
         merge(new DOMParser().parseFromString(await answer.text(), 'text/html'));
         for (const id of sought) if (!row(id)) elsewhere.add(id);
       }
-    } catch { tell(silent); }
+    } catch { failed = true; tell(silent); }
     setTimeout(() => { busy = false; if (again) { again = false; refresh(); } }, 500);
   };
   const merge = fresh => {
@@ -85,14 +88,30 @@
       refresh();
     }
   };
-  let opened = false;
-  const source = new EventSource(`${base}v1/jobs`);
-  source.addEventListener('open', () => { if (opened) refresh(); opened = true; });
-  source.addEventListener('job', event => show(JSON.parse(event.data)));
-  source.addEventListener('gone', refresh);
-  source.addEventListener('closed', () => location.reload());
-  // A browser does not come again after a refusal, such as that of too many streams.
-  source.addEventListener('error', () => { if (source.readyState === EventSource.CLOSED) setInterval(refresh, 10000); });
+  // Only while the page is seen: a browser has six connections to a service, and a stream takes one.
+  let source = null;
+  let polling = 0;
+  let isLate = document.visibilityState !== 'visible';
+  const follow = () => {
+    source = new EventSource(`${base}v1/jobs`);
+    source.addEventListener('open', () => { if (isLate) refresh(); isLate = true; });
+    source.addEventListener('job', event => show(JSON.parse(event.data)));
+    source.addEventListener('gone', refresh);
+    source.addEventListener('closed', () => location.reload());
+    // A browser does not come again after a refusal, such as that of too many streams.
+    source.addEventListener('error', ({ target }) => {
+      if (target.readyState !== EventSource.CLOSED) return;
+      if (isLate) refresh();
+      polling = setInterval(refresh, 10000);
+    });
+  };
+  if (document.visibilityState === 'visible') follow();
+  document.addEventListener('visibilitychange', () => {
+    if (source) source.close();
+    clearInterval(polling);
+    isLate = true;
+    if (document.visibilityState === 'visible') follow();
+  });
 
   list.addEventListener('click', async event => {
     const button = event.target.closest('[data-act]');

@@ -13,7 +13,8 @@ use crate::support::{
 };
 
 /// The states of the cards, the newest first.
-const STATES: &str = "[...document.querySelectorAll('.job')].map(card => card.dataset.state).join()";
+pub(super) const STATES: &str =
+    "[...document.querySelectorAll('.job')].map(card => card.dataset.state).join()";
 
 /// Gives files to an input of the page, as a user does who chooses them.
 async fn choose(page: &mut Page, input: &str, files: &[&Path]) {

@@ -4,7 +4,10 @@
 use serde_json::json;
 use tcgs::{domain::Scope, gpu::GpuError, viewer_page::assets};
 
-use super::viewer_page::{SAVED, SHOWN};
+use super::{
+    front::STATES,
+    viewer_page::{SAVED, SHOWN},
+};
 use crate::support::{
     browser::{self, Page},
     contract::Coverage,
@@ -46,6 +49,44 @@ const WORKER: &str = "{
     // Depths of a picture that nobody drew.
     CanvasRenderingContext2D.prototype.putImageData = () => {};
 }";
+
+/// Counts loads of the page and its streams. Answers to the page itself are `answer`, if there is one; an error if that is 0.
+const FOLLOWING: &str = "{
+    sessionStorage.loads = 1 + Number(sessionStorage.loads || 0);
+    const quick = window.fetch.bind(window);
+    Object.assign(window, { sources: [], answer: null, heard: false });
+    window.EventSource = class extends EventSource {
+        constructor(address) {
+            super(address);
+            window.sources.push(this);
+            this.addEventListener('progress', () => { window.heard = true; });
+        }
+    };
+    window.fetch = async (address, ...more) => {
+        if (window.answer === null || new URL(address, location).pathname !== location.pathname) return quick(address, ...more);
+        if (window.answer === 0) throw new TypeError('silent');
+        return new Response('', { status: window.answer });
+    };
+}";
+
+/// Streams that the page keeps.
+const STREAMS: &str =
+    "(window.sources || []).filter(source => source.readyState !== EventSource.CLOSED).length";
+
+const LOADS: &str = "sessionStorage.loads";
+
+/// What the page says of its service.
+const TOLD: &str = "document.getElementById('told').textContent";
+
+const SILENT: &str = "The service does not answer.";
+
+/// As a browser does when another page comes before this one, and when it comes back.
+fn visibility(state: &str) -> String {
+    format!(
+        "Object.defineProperty(document, 'visibilityState', {{ configurable: true, get: () => '{state}' }});
+         document.dispatchEvent(new Event('visibilitychange'));"
+    )
+}
 
 /// Turns by a key, and waits for a picture.
 async fn turn(page: &mut Page) {
@@ -154,4 +195,53 @@ async fn a_key_in_the_address_is_in_no_request_and_a_first_fault_leads_to_the_se
     assert_eq!(page.evaluate("window.started").await, format!("http://{}/viewer/worker.js", server.address));
     let well = format!("{large}. The service draws the pictures.");
     assert_eq!(page.evaluate(LINE).await, well);
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_report_follows_its_job_while_it_is_seen_and_as_long_as_it_may() {
+    let Some(program) = browser::find() else { return skip("Chromium is not installed") };
+    let server = Server::start(&Coverage::default()).await;
+    let job = server.create("wait").await;
+    server.reaches(&job, "running").await;
+    let url = format!("http://{}{job}/report", server.address);
+    let mut page = Page::open_after(program, &NO_GPU, FOLLOWING, &url).await;
+    page.until(STREAMS, |streams| *streams == 1).await;
+    page.until("window.heard", |heard| *heard == true).await;
+    page.evaluate(&visibility("hidden")).await;
+    assert_eq!(page.evaluate(STREAMS).await, 0);
+    page.evaluate(&visibility("visible")).await;
+    assert_eq!(page.evaluate(STREAMS).await, 1);
+    let address = page.evaluate("window.sources.at(-1).url").await;
+    assert!(address.as_str().is_some_and(|url| url.contains("/events?after=")), "{address}");
+
+    page.evaluate("window.answer = 0").await;
+    page.until(TOLD, |told| *told == SILENT).await;
+    page.evaluate("window.answer = null").await;
+    page.until(TOLD, |told| *told == "").await;
+    // Reloaded, the page says what the service says.
+    let loads = page.evaluate(LOADS).await;
+    page.evaluate("window.answer = 404").await;
+    page.until(LOADS, |now| *now != loads).await;
+    server.post(&format!("{job}/cancel")).await.expect(202);
+    server.reaches(&job, "cancelled").await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_list_follows_its_jobs_while_it_is_seen() {
+    let Some(program) = browser::find() else { return skip("Chromium is not installed") };
+    let server = Server::start(&Coverage::default()).await;
+    let url = format!("http://{}/", server.address);
+    let mut page = Page::open_after(program, &NO_GPU, FOLLOWING, &url).await;
+    page.until(STREAMS, |streams| *streams == 1).await;
+    page.evaluate(&visibility("hidden")).await;
+    assert_eq!(page.evaluate(STREAMS).await, 0);
+    server.succeeded().await;
+    page.evaluate(&visibility("visible")).await;
+    assert_eq!(page.evaluate(STREAMS).await, 1);
+    page.until(STATES, |states| *states == "succeeded").await;
+
+    page.evaluate("window.answer = 0; page.refresh()").await;
+    page.until(TOLD, |told| *told == SILENT).await;
+    page.evaluate("window.answer = null").await;
+    page.until("page.refresh(), document.getElementById('told').textContent", |told| *told == "").await;
 }
