@@ -10,7 +10,11 @@
   const MOST = 0xffffffff;
   const LONGEST_PAUSE = 30000;
   class Failure extends Error {}
-  const sleep = ms => new Promise(done => setTimeout(done, ms));
+  const LOST = 'A file cannot be read any more; choose the files again.';
+  const sleep = (ms, signal) => new Promise((done, failed) => {
+    const timer = setTimeout(done, ms);
+    signal.addEventListener('abort', () => { clearTimeout(timer); failed(signal.reason); }, { once: true });
+  });
 
   // What the browser knows of uploads that were not finished.
   const remembered = {
@@ -89,9 +93,10 @@
     let pause = 1000;
     while (offset < blob.size) {
       show(offset, pause > 1000);
+      const chunk = blob.slice(offset, offset + CHUNK);
       try {
         const headers = { ...TUS, 'Upload-Offset': String(offset), 'Content-Type': 'application/offset+octet-stream' };
-        const answer = await ask(place, { method: 'PATCH', headers, body: blob.slice(offset, offset + CHUNK), signal });
+        const answer = await ask(place, { method: 'PATCH', headers, body: chunk, signal });
         if (answer.ok || answer.status === 409) {
           offset = Number(answer.headers.get('upload-offset'));
           pause = 1000;
@@ -101,8 +106,11 @@
       } catch (fault) {
         signal.throwIfAborted();
         if (fault instanceof Failure) throw fault;
+        // A request whose file has changed or is gone fails as one without an answer does.
+        await chunk.arrayBuffer();
       }
-      await sleep(pause);
+      signal.throwIfAborted();
+      await sleep(pause, signal);
       pause = Math.min(2 * pause, LONGEST_PAUSE);
       const known = await arrived(place, signal);
       if (known === null) { remembered.set(key, null); throw new Failure('The upload has expired; send it again.'); }
@@ -121,7 +129,11 @@
   // Which part of the panel shows.
   const show = part => { for (const id of ['drop', 'sending', 'train']) at(id).hidden = id !== part; };
   const trouble = text => { at('trouble').textContent = text; at('trouble').hidden = !text; };
-  const fail = fault => { show('drop'); if (fault.name !== 'AbortError') trouble(fault instanceof Failure ? fault.message : silent); };
+  const message = fault => {
+    if (['NotReadableError', 'NotFoundError'].includes(fault.name)) return LOST;
+    return fault instanceof Failure ? fault.message : silent;
+  };
+  const fail = fault => { show('drop'); if (fault.name !== 'AbortError') trouble(message(fault)); };
 
   let dataset = null;
   // How its files are read: the same for its check, its estimates and its job.

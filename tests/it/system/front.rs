@@ -17,7 +17,7 @@ pub(super) const STATES: &str =
     "[...document.querySelectorAll('.job')].map(card => card.dataset.state).join()";
 
 /// Gives files to an input of the page, as a user does who chooses them.
-async fn choose(page: &mut Page, input: &str, files: &[&Path]) {
+pub(super) async fn choose(page: &mut Page, input: &str, files: &[&Path]) {
     page.ask("DOM.enable", json!({})).await;
     let document = page.ask("DOM.getDocument", json!({})).await;
     let at = json!({ "nodeId": document["root"]["nodeId"], "selector": input });

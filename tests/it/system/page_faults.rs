@@ -1,11 +1,13 @@
 //! Pages in a real browser when something goes wrong: a service that is slow or silent, a lost device, hidden pages, and files that are
 //! gone.
 
+use std::path::Path;
+
 use serde_json::json;
 use tcgs::{domain::Scope, gpu::GpuError, viewer_page::assets};
 
 use super::{
-    front::STATES,
+    front::{STATES, choose},
     viewer_page::{SAVED, SHOWN},
 };
 use crate::support::{
@@ -244,4 +246,51 @@ async fn a_list_follows_its_jobs_while_it_is_seen() {
     page.until(TOLD, |told| *told == SILENT).await;
     page.evaluate("window.answer = null").await;
     page.until("page.refresh(), document.getElementById('told').textContent", |told| *told == "").await;
+}
+
+/// Holds parts of uploads until `release` is called, or with `silent` answers none and lets no second pass.
+const SENDING: &str = "{
+    const quick = window.fetch.bind(window);
+    const timer = window.setTimeout.bind(window);
+    Object.assign(window, { parts: 0, silent: false, release: null });
+    window.setTimeout = (done, ms, ...more) => (window.silent && ms >= 1000 ? 0 : timer(done, ms, ...more));
+    window.fetch = async (address, options = {}) => {
+        if (options.method !== 'PATCH') return quick(address, options);
+        window.parts += 1;
+        if (window.silent) throw new TypeError('silent');
+        await new Promise(done => { window.release = done; });
+        return quick(address, options);
+    };
+}";
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn an_upload_ends_with_its_file_and_at_once_when_it_is_stopped() {
+    let Some(program) = browser::find() else { return skip("Chromium is not installed") };
+    let server = Server::start(&Coverage::default()).await;
+    let folder = tempfile::tempdir().expect("a folder");
+    let write = |name: &str| {
+        let path = folder.path().join(name);
+        std::fs::write(&path, [7; 100_000]).expect("written");
+        path
+    };
+    let mut page = Page::open_after(program, &NO_GPU, SENDING, &format!("http://{}/", server.address)).await;
+    let is_open = "document.querySelector('#drop')?.hidden === false";
+    page.until(is_open, |open| *open == true).await;
+
+    let path = write("gone.zip");
+    choose(&mut page, "#files", &[&path]).await;
+    page.until("window.release !== null", |held| *held == true).await;
+    std::fs::remove_file(&path).expect("removed");
+    page.evaluate("window.release()").await;
+    let trouble = "document.getElementById('trouble').textContent";
+    page.until(trouble, |text| *text == "A file cannot be read any more; choose the files again.").await;
+    assert_eq!(page.evaluate(is_open).await, true);
+
+    let photographs = ["a.jpg", "b.jpg"].map(write);
+    page.evaluate("window.silent = true; window.parts = 0").await;
+    choose(&mut page, "#files", &photographs.each_ref().map(Path::new)).await;
+    page.until("window.parts", |parts| *parts == 1).await;
+    page.evaluate("document.getElementById('stop').click()").await;
+    page.until(is_open, |open| *open == true).await;
+    assert_eq!(page.evaluate(trouble).await, "");
 }
