@@ -237,7 +237,7 @@ async fn a_page_over_http_says_that_webgpu_needs_https() {
                     Object.defineProperty(Navigator.prototype, 'gpu', { value: undefined });";
     page.ask("Page.addScriptToEvaluateOnNewDocument", json!({ "source": insecure })).await;
     page.ask("Page.reload", json!({})).await;
-    let line = "document.getElementById('line').textContent";
+    let line = "document.getElementById('line')?.textContent";
     page.until(line, |told| *told == "WebGPU needs this page over https. The service draws the pictures.")
         .await;
 }
