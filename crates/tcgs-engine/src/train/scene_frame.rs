@@ -22,7 +22,7 @@ pub(super) struct TrainingSet {
     pub(super) init_box: InitBox,
 }
 
-/// Points in the frame of a scene, all finite.
+/// Points in the frame of a scene, finite if those of the dataset are.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub(super) struct Points {
     pub(super) positions: Vec<[f32; 3]>,
@@ -87,7 +87,11 @@ impl Points {
     fn of(cloud: &PointCloud, frame: SceneFrame) -> Self {
         let inside = |position: &[f64; 3]| frame.from_world(DVec3::from(*position)).as_vec3();
         let positions: Vec<Vec3> = cloud.positions.iter().map(inside).collect();
-        let kept: Vec<bool> = positions.iter().map(|position| position.is_finite()).collect();
+        // One that is not finite in the world is no matter of the frame: the first model refuses it by its number.
+        let is_kept = |(inside, given): (&Vec3, &[f64; 3])| {
+            inside.is_finite() || !given.iter().all(|coordinate| coordinate.is_finite())
+        };
+        let kept: Vec<bool> = positions.iter().zip(&cloud.positions).map(is_kept).collect();
         let too_far = kept.iter().filter(|kept| !**kept).count();
         if too_far > 0 {
             tracing::warn!("{too_far} points are left out, since they are too far from the scene");
