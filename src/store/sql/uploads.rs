@@ -192,10 +192,11 @@ impl Store {
         self.call("lock_upload").run(self.write(async move |tx, now| {
             query(
                 "UPDATE uploads SET writer = writer + 1, writer_until = ?2
-                 WHERE id = ?1 AND (writer_until IS NULL OR writer_until < ?3 OR writer_until > ?2) RETURNING writer",
+                 WHERE id = ?1 AND (writer_until IS NULL OR writer_until < ?3 OR writer_until > ?4) RETURNING writer",
             )
-            // A lock that ends later than a new one is older than a clock that was set back.
             .bind_all(values![id.to_string(), lock_end(now), micros(now)])
+            // No lock ends so late, unless the clock was set back. Another may have been taken a moment after this one's time.
+            .bind(micros(now.checked_add(WRITER_LIFE * 2).unwrap_or(Timestamp::MAX)))
             .optional(tx, |row| Ok(UploadWriter { id, number: row.try_get("writer")? }))
             .await
         }))
